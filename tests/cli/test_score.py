@@ -75,7 +75,8 @@ def test_score_as_text_and_json_with_the_log(carina, ct, flight, num_segments, t
     text = carina("score", flight, ct).out
     assert f"{found['published']['diagnostic_completeness']} of 18 segments; this case has {num_segments}" in text
     assert "no verdict: it needs 6 attempts that count (Konge 2011, Respiration 81:483); found 0" in text
-    assert "Source of these values: BronchoBot study on a phantom, Cold 2025." in text
+    assert "Source of these values: BronchoBot study on a phantom, Cold 2025; measured with another system" in text
+    assert "Respiration, 10.1159/000542045); in a row: Carina's reading; the source states no order" in text
 
 
 def test_earlier_attempts_are_judged_together(carina, ct, flight):

@@ -23,6 +23,7 @@ class Disk:
     """Opening of a branch."""
 
     def __init__(self, tree: AirwayTree, wall: WallField, branch: Any) -> None:
+        self.branch = branch.id
         inside = {branch.id}
         for one in tree.branches:
             if one.parent in inside:
@@ -76,6 +77,7 @@ class Judge:
         preset = scope_preset(scope)
         self.tip_mm = preset.tip_mm / 2.0
         self.fov_deg = preset.usual_fov_deg
+        self.asked_deg = fov_deg
         pixels = [(c + 0.5, r + 0.5) for r in range(64) for c in range(64) if math.hypot(c - 31.5, r - 31.5) <= 32.0]
         self.total = len(pixels)
         rays = preset.lens.optics(64, 64, preset.usual_fov_deg).directions_of(np.array(pixels))
@@ -117,10 +119,43 @@ class Judge:
                 if going.any():
                     clear[going] &= self.wall.distance_mm(eye + at_mm * rays[which[going]]) > 0.0
                 at_mm += 0.5
-            if clear.sum() >= 0.01 * self.total and clear.sum() >= 0.5 * len(which):
+            if clear.sum() >= 0.01 * self.total and self.visible_area(disk, pose) >= 0.5:
                 middle = self.pixels[which[clear]].mean(axis=0) - 32.0
                 found[name] = math.hypot(*middle) / 32.0
         return found
+
+    def visible_area(self, disk: Disk, pose: np.ndarray) -> float:
+        """Return the share of the disk in the picture and before the walls, by rings of equal area."""
+        eye, forward = pose[:3, 3], pose[:3, 2]
+        right = np.cross(disk.into, (1.0, 0.0, 0.0) if abs(disk.into[0]) < 0.9 else (0.0, 1.0, 0.0))
+        right /= np.linalg.norm(right)
+        up = np.cross(right, disk.into)
+        angles = 2 * np.pi * (np.arange(32) + 0.5) / 32
+        spokes = np.outer(np.cos(angles), right) + np.outer(np.sin(angles), up)
+        radii = disk.radius * np.sqrt((np.arange(12) + 0.5) / 12)
+        points = (disk.mouth + radii[:, None, None] * spokes).reshape(-1, 3)
+        far = np.linalg.norm(points - eye, axis=1)
+        rays = (points - eye) / far[:, None]
+        limit = math.radians(min(self.asked_deg, self.fov_deg) / 2.0)
+        good = np.arccos(np.clip(rays @ forward, -1.0, 1.0)) <= limit
+        at_mm = 0.0
+        while at_mm <= far.max() - 1.0:
+            going = good & (at_mm <= far - 1.0)
+            if going.any():
+                good[going] &= self.wall.distance_mm(eye + at_mm * rays[going]) > 0.0
+            at_mm += 0.5
+        return float(good.mean())
+
+    def segment_around(self, tip: np.ndarray, branch: Any) -> str:
+        """Return the segment in which the tip is, or an empty text."""
+        first_branches = {disk.branch: (name, disk) for name, disk in zip(self.names, self.disks, strict=True)}
+        one = branch
+        while one.id not in first_branches:
+            if one.parent is None:
+                return ""
+            one = self.tree.branch(one.parent)
+        name, disk = first_branches[one.id]
+        return "" if one.id == branch.id and (tip - disk.mouth) @ disk.into < 0.0 else name
 
     def place(self, tip: np.ndarray) -> tuple[Any, float]:
         """Return the branch of a point, and the position along it, mm."""
@@ -173,7 +208,9 @@ def independent_score(text: str, tree: AirwayTree, wall: WallField) -> dict[str,
     seen_for = dict.fromkeys(judge.names, 0)
     seen: list[str] = []
     middle, middle_for = "", 0
-    last_visit, visited, stepped, again = "", [], set(), 0
+    last_visit, stepped, again = "", set(), 0
+    clear_in, clear_for = "", 0
+    away_for, entered = {}, set()
     touched_at, contacts = -100, 0
     tips, red, centred, num = [], 0, 0, 0
     shown: Any = None
@@ -197,23 +234,46 @@ def independent_score(text: str, tree: AirwayTree, wall: WallField) -> dict[str,
         in_sight, branch = shown[1], shown[2]
         for name in judge.names:
             seen_for[name] = seen_for[name] + 1 if name in in_sight else 0
-            if seen_for[name] == 6 and name not in seen:
+        within = judge.segment_around(pose[:3, 3], branch)
+        # The absence from a segment counts from the frame at which the last clear stay in it had lasted for 0.5 s.
+        for name, (now_away, longest) in away_for.items():
+            away = now_away + 1 if within != name else 0
+            away_for[name] = (away, max(longest, away))
+        lens_is_clear = (0.6 * judge.tip_mm - gap) / (0.45 * judge.tip_mm) < 0.5
+        clear_now = within if lens_is_clear else ""
+        clear_for = clear_for + 1 if clear_now == clear_in else 1
+        clear_in = clear_now
+        newly = [name for name in judge.names if seen_for[name] == 6 or (clear_in == name and clear_for == 6)]
+        for name in newly:
+            if name not in seen:
                 seen.append(name)
                 events.append((k / 10, "seen", name))
+        arrivals = []
+        if clear_in and clear_for == 6:
+            if clear_in not in entered:
+                arrivals.append((clear_in, "visit"))
+            elif away_for[clear_in][1] >= 6:
+                again += 1
+                events.append((k / 10, "revisit", clear_in))
+                arrivals.append((clear_in, "counted"))
+            entered.add(clear_in)
+            away_for[clear_in] = (0, 0)
         central = [(off, ORDER.index(name), name) for name, off in in_sight.items() if off <= 0.5]
         now = min(central)[2] if central else ""
         middle_for = middle_for + 1 if now == middle else 1
         middle = now
-        if now and middle_for == 11 and now != last_visit:
-            place = judge.names.index(now)
+        if now and middle_for == 11:
+            arrivals.append((now, "visit"))
+        for name, kind in arrivals:
+            if name == last_visit:
+                continue
+            if kind == "visit":
+                events.append((k / 10, "visit", name))
             before = judge.names.index(last_visit) if last_visit else -1
-            events.append((k / 10, "revisit" if now in visited else "visit", now))
-            again += now in visited
-            if place == before + 1 and now not in stepped:
-                stepped.add(now)
-                events.append((k / 10, "progress", now))
-            visited.append(now)
-            last_visit = now
+            if judge.names.index(name) == before + 1 and name not in stepped:
+                stepped.add(name)
+                events.append((k / 10, "progress", name))
+            last_visit = name
         if float(wall.ball_mm(pose[:3, 3])[0]) <= judge.tip_mm + 0.1:
             if k - touched_at > 5:
                 contacts += 1

@@ -105,6 +105,14 @@ class Script:
         self.go(branch.parent, max(self.fork_mm(branch.id) - back_mm, 0.0))
         self.look_at(opening.middle_lps, self.hold_s)
 
+    def enter(self, name: str, *, depth_mm: float = 8.0) -> None:
+        """Drive into a segment, and hold the view there for a time."""
+        (branch,) = branches_named(self.tree, name)
+        (opening,) = branch_openings(self.tree, [branch.id])
+        past_mm = float(np.linalg.norm(opening.middle_lps - branch.points[0])) + depth_mm
+        self.go(branch.id, self.fork_mm(branch.id) + min(past_mm, branch.length_mm))
+        self.wait(self.hold_s)
+
     def start(self, along_mm: float = 40.0) -> None:
         """Start in the trachea."""
         self._branch, self._along_mm = 0, along_mm
@@ -128,6 +136,15 @@ def optimal(tree: AirwayTree) -> list[np.ndarray]:
     script.start()
     for name in SEGMENTS:
         script.inspect(name)
+    return script.poses
+
+
+def entering(tree: AirwayTree) -> list[np.ndarray]:
+    """Return a flight into each segment of the right upper and the left lower lobe, and into RB1 twice."""
+    script = Script(tree, speed_mm_s=30.0, hold_s=0.8)
+    script.start()
+    for name in ("RB1", "RB2", "RB3", "RB1", "LB6", "LB8", "LB9", "LB10"):
+        script.enter(name)
     return script.poses
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 from independent_scorer import independent_score
-from scripted_flights import optimal, planned, random_flight, recording_text, wall_hugging
+from scripted_flights import entering, optimal, planned, random_flight, recording_text, wall_hugging
 
 from carina.navigate.recording import read_recording
 from carina.training import find_task, flight_frames, score_flight
@@ -15,6 +15,7 @@ from carina.training import find_task, flight_frames, score_flight
 DRIVERS = {
     "optimal": optimal,
     "planned": planned,
+    "entering": entering,
     "wall-hugging": wall_hugging,
     "random 1": lambda tree: random_flight(tree, 1),
     "random 2": lambda tree: random_flight(tree, 2),

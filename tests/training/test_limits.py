@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from carina.scopes import Pose, WallField, scope_preset
 from carina.track import AirwayTree, Branch
 from carina.training.attempt_checks import attempt_doubts
+from carina.training.entries import entries_of, openings_entered, openings_passed
 from carina.training.flight_frames import FlightFrames, FlightOptics
 from carina.training.handling import TipPlaces, tip_places, wall_contacts
 from carina.training.openings_in_sight import BranchOpening, OpeningSights, openings_in_sight
@@ -18,9 +21,9 @@ GENERIC = scope_preset("generic")
 AHEAD_Z_MM = 20.0
 
 
-def field_of(distance):
+def field_of(distance, *, long_mm=60):
     """Return a wall field of a function of x, y, z in mm, 1 mm apart."""
-    z, y, x = np.mgrid[-10:61, -30:31, -30:31].astype(np.float32)
+    z, y, x = np.mgrid[-10 : long_mm + 1, -30:31, -30:31].astype(np.float32)
     matrix = np.eye(4)
     matrix[:3, 3] = (-30.0, -30.0, -10.0)
     return WallField.from_distances(np.clip(distance(x, y, z), -2.5, 4.5).astype(np.float32), matrix)
@@ -34,7 +37,8 @@ def frames_of(poses, *, fov_deg=120.0, free=False, complete=True):
     poses = np.array(poses)
     optics = FlightOptics(GENERIC, free, fov_deg, False)
     return FlightFrames(
-        poses, np.arange(len(poses)), np.zeros(len(poses), dtype=np.int64), (optics,), complete, poses
+        poses, np.arange(len(poses)), np.zeros(len(poses), dtype=np.int64), (optics,), complete, poses,
+        np.arange(len(poses)) / 10,
     )  # fmt: skip
 
 
@@ -80,13 +84,21 @@ def test_opening_is_in_sight_if_the_wall_hides_less_than_half_of_its_pixels(edge
     assert is_in_sight(disk(5.0), camera(), wall) is expected
 
 
+@pytest.mark.parametrize(("off_deg", "expected"), [(58.5, True), (61.5, False), (66.0, False)])
+def test_opening_is_in_sight_if_half_of_its_area_is_in_the_picture(off_deg, expected):
+    # The edge of the picture is 60 degrees from the middle. 66 degrees leave more than 1 % of the picture.
+    a = np.radians(off_deg)
+    side = np.array([np.sin(a), 0.0, np.cos(a)])
+    assert is_in_sight(disk(8.0, at=AHEAD_Z_MM * side, into=side), camera()) is expected
+
+
 @pytest.mark.parametrize(("off_deg", "expected"), [(50.0, True), (75.0, False)])
 def test_opening_is_in_sight_only_inside_the_round_picture(off_deg, expected):
     a = np.radians(off_deg)
     assert is_in_sight(disk(3.5), camera(look=(np.sin(a), 0.0, np.cos(a)))) is expected
 
 
-def test_opening_is_not_in_sight_from_inside_its_branch():
+def test_opening_itself_is_not_in_sight_from_inside_its_branch():
     assert is_in_sight(disk(4.0), camera())
     assert not is_in_sight(disk(4.0, into=(0.0, 0.0, -1.0)), camera())
 
@@ -151,6 +163,53 @@ def test_opening_nearest_to_the_middle_is_visited():
     assert visits_of(sights_of((10, 20, 0.3), (10, 20, 0.2)), [[0], [1]]) == [Visit(20, 1)]
 
 
+def runs_of(*runs):
+    """Return one array of the values of runs: value and number of frames of each."""
+    return np.concatenate([np.full(num, value) for value, num in runs])
+
+
+@pytest.mark.parametrize(("num_frames", "expected"), [(5, None), (6, 15)])
+def test_segment_is_seen_and_visited_after_half_a_second_inside(num_frames, expected):
+    passed = runs_of((-1, 10), (0, num_frames), (-1, 50 - num_frames))
+    clear = np.ones(60, dtype=bool)
+    entered = openings_entered(passed, clear, 1)
+    assert entered == [expected]
+    assert places_seen(sights_of((0, 0, 0.9)), [[0]], entered) == [expected]
+    entries = entries_of(passed, clear, [[0]])
+    assert [(one.frame, one.place) for one in entries] == ([] if expected is None else [(expected, 0)])
+    assert visits_of(sights_of((0, 0, 0.9)), [[0]], entries) == entries
+
+
+def test_red_out_inside_a_segment_does_not_count():
+    clear = np.ones(60, dtype=bool)
+    clear[14] = False
+    assert entries_of(runs_of((-1, 10), (0, 9), (-1, 41)), clear, [[0]]) == []
+
+
+@pytest.mark.parametrize(("num_outside", "expected"), [(5, 1), (6, 2)])
+def test_segment_is_entered_again_after_half_a_second_outside(num_outside, expected):
+    passed = runs_of((0, 10), (-1, num_outside), (0, 10))
+    assert len(entries_of(passed, np.ones(len(passed), dtype=bool), [[0]])) == expected
+
+
+def test_red_out_inside_a_segment_is_no_exit():
+    clear = runs_of((True, 10), (False, 20), (True, 10))
+    assert len(entries_of(np.zeros(40, dtype=np.int64), clear, [[0]])) == 1
+
+
+@pytest.mark.parametrize(("z_mm", "branch", "expected"), [(19.9, 1, -1), (20.1, 1, 0), (19.0, 2, 0), (30.0, 0, -1)])
+def test_tip_is_inside_past_the_plane_of_the_opening_or_in_a_descendant(z_mm, branch, expected):
+    points = np.array([[0.0, 0.0, 10.0], [0.0, 0.0, 40.0], [0.0, 0.0, 60.0], [0.0, 9.0, 60.0]])
+    lines = [points[[0, 1]], points[[1, 2]], points[[2, 3]]]
+    tree = AirwayTree(
+        tuple(
+            Branch(n, n - 1 if n else None, (n + 1,) if n < 2 else (), n, None, "tracked", line, np.full(2, 4.0))
+            for n, line in enumerate(lines)
+        )
+    )
+    assert openings_passed(np.array([[0.0, 0.0, z_mm]]), np.array([branch]), tree, [disk(4.0)]).tolist() == [expected]
+
+
 def visits(*places):
     return [Visit(10 * n, place) for n, place in enumerate(places)]
 
@@ -211,25 +270,65 @@ def test_lumen_is_in_the_middle_within_a_quarter_of_the_field_of_view(off_deg, e
     assert tip_places(frames, straight_tree()).lumen_in_middle.tolist() == [expected]
 
 
-def doubts_of(poses, wall_mm=4.0, **options):
+def doubts_of(poses, wall=WIDE, *, branch=0, **options):
     frames = frames_of(poses, **options)
-    walls = np.broadcast_to(np.asarray(wall_mm, dtype=np.float64), len(poses))
-    task = find_task("inspect-all")
-    found = attempt_doubts(frames, walls, task, straight_tree(), [0], first=0, last=len(poses) - 1)
-    return [one.code for one in found]
+    last = int(frames.pose_number.size) - 1
+    return attempt_doubts(
+        frames,
+        wall,
+        find_task("inspect-all"),
+        straight_tree(),
+        [0],
+        branch_ids=[branch] * (last + 1),
+        first=0,
+        last=last,
+    )
 
 
-@pytest.mark.parametrize(("step_mm", "expected"), [(19.9, []), (20.1, ["jump"])])
-def test_tip_that_moves_faster_than_a_hand_is_reported(step_mm, expected):
-    assert doubts_of([camera(), camera((0.0, 0.0, step_mm))]) == expected
+def codes_of(poses, wall=WIDE, **options):
+    return [one.code for one in doubts_of(poses, wall, **options)]
 
 
-@pytest.mark.parametrize(("wall_mm", "expected"), [(-0.49, []), (-0.51, ["left-airways"])])
+@pytest.mark.parametrize(("step_mm", "expected"), [(25.0, []), (99.0, []), (101.0, ["jump"])])
+def test_tip_that_moves_faster_than_the_limit_is_reported(step_mm, expected):
+    found = doubts_of([camera(), camera((0.0, 0.0, step_mm))], field_of(lambda x, _y, _z: 4.0 + 0.0 * x, long_mm=120))
+    assert [one.code for one in found] == expected
+    assert all("Carina's limit of 1000 mm/s" in one.words for one in found)
+
+
+@pytest.mark.parametrize(("wall_mm", "expected"), [(-0.45, []), (-0.55, ["left-airways"])])
 def test_tip_outside_the_airways_is_reported(wall_mm, expected):
-    assert doubts_of([camera(), camera()], wall_mm) == expected
+    assert codes_of([camera(), camera()], field_of(lambda x, _y, _z: wall_mm + 0.0 * x)) == expected
+
+
+@pytest.mark.parametrize(("thickness_mm", "expected"), [(0.8, []), (1.2, ["jump"])])
+def test_hop_through_a_wall_between_two_recorded_positions_is_reported(thickness_mm, expected):
+    # A plate across x: both ends of the hop are far inside, and only points between them are in the plate.
+    wall = field_of(lambda x, _y, _z: np.abs(x) - thickness_mm / 2.0)
+    found = doubts_of([camera((-3.0, 0.0, 0.0)), camera((3.0, 0.0, 0.0))], wall)
+    assert [one.code for one in found] == expected
+    assert all(one.time_s == 0.1 for one in found)
+
+
+def test_positions_between_two_frames_are_checked():
+    frames = frames_of([camera((-3.0, 0.0, 0.0)), camera(), camera((-3.0, 0.0, 0.0))])
+    # The frames show the first and the last pose; the second one was recorded between them.
+    shown = replace(frames, lps_from_tip=frames.lps_from_tip[[0, 2]], pose_number=np.array([0, 2]))
+    wall = field_of(lambda x, _y, _z: np.abs(x) - 1.0)
+    found = attempt_doubts(
+        shown, wall, find_task("inspect-all"), straight_tree(), [0], branch_ids=[0, 0], first=0, last=1
+    )
+    assert [one.code for one in found] == ["left-airways"]
+
+
+@pytest.mark.parametrize(("branch", "expected"), [(0, []), (1, ["start"])])
+def test_recording_that_does_not_start_in_the_trachea_is_reported(branch, expected):
+    found = doubts_of([camera(), camera()], branch=branch)
+    assert [one.code for one in found] == expected
+    assert [one.words for one in found] == ["the recording does not start in the trachea"] * len(expected)
 
 
 def test_incomplete_recording_and_wide_picture_are_reported():
-    assert doubts_of([camera()], complete=False) == ["incomplete"]
-    assert doubts_of([camera()], fov_deg=120.4) == []
-    assert doubts_of([camera()], fov_deg=121.0) == ["wide-picture"]
+    assert codes_of([camera()], complete=False) == ["incomplete"]
+    assert codes_of([camera()], fov_deg=120.4) == []
+    assert codes_of([camera()], fov_deg=121.0) == ["wide-picture"]

@@ -12,12 +12,16 @@ import numpy as np
 import pytest
 from scripted_flights import VIEW, Script, optimal, recording_of
 
+from carina.cli.score import score_lines
 from carina.errors import NoResultError, VolumeImportError
 from carina.scopes import Pose
 from carina.track import AirwayTree
+from carina.track.names.name_texts import segment_of
 from carina.training import (
+    REFERENCE_GROUPS,
     SEGMENTS,
     AttemptDoubt,
+    ScoredContact,
     Task,
     events_csv,
     find_task,
@@ -31,8 +35,10 @@ from carina.training import (
     xapi_statements,
 )
 from carina.training.openings_in_sight import branch_openings
-from carina.training.segments import branches_named
+from carina.training.segments import MIRRORED_SEGMENTS, branches_named
+from carina.volume import Note
 
+MIRRORED_NAMES = dict(zip(SEGMENTS, MIRRORED_SEGMENTS, strict=True))
 pytestmark = pytest.mark.slow
 
 
@@ -106,6 +112,27 @@ def test_flight_through_walls_is_reported_and_sees_nothing_in_tissue(chest):
     assert score.diagnostic_completeness <= 3 + inside
 
 
+def test_hop_from_one_segment_into_the_next_through_the_wall_is_reported(chest):
+    script = Script(chest.tree)
+    script.start()
+    script.enter("RB1")
+    (branch,) = branches_named(chest.tree, "RB2")
+    (opening,) = branch_openings(chest.tree, [branch.id])
+    there = Pose.looking(opening.middle_lps + 2.0 * opening.dir_lps, opening.dir_lps).lps_from_camera
+    score = scored(chest, [*script.poses, *[there] * 8])
+    assert codes(score) == ["jump"]
+    assert "through the wall" in score.doubts[0].words
+
+
+@pytest.mark.parametrize("clock", ["cords", "carina"])
+def test_recording_that_starts_inside_a_segment_is_reported(chest, clock):
+    script = Script(chest.tree)
+    script.start()
+    script.enter("RB1")
+    inside = [script.poses[-1]] * 8
+    assert codes(scored(chest, inside, task=replace(find_task("inspect-all"), clock=clock))) == ["start"]
+
+
 def test_pinned_camera_sees_no_segment(chest):
     script = Script(chest.tree)
     script.start(float(chest.tree.root.length_mm) - 15.0)
@@ -125,22 +152,60 @@ def test_wiggling_at_a_carina_gives_each_progression_once(chest):
         script.look_at(targets[n % 2].middle_lps, 1.2)
     score = scored(chest, script.poses)
     assert score.structured_progress == 2
-    assert score.segments_revisited >= 10
+    assert score.segments_revisited == 0
     assert score.diagnostic_completeness <= 3
 
 
+# At 8 mm/s the opening of RB3 is in the middle for a second on the way to RB1, so RB3 is visited first.
+@pytest.mark.parametrize(("speed_mm_s", "num_steps"), [(8.0, 1), (16.0, 2), (30.0, 2)])
+def test_segments_that_the_tip_enters_are_seen_and_visited_at_any_speed(chest, speed_mm_s, num_steps):
+    script = Script(chest.tree, speed_mm_s=speed_mm_s, hold_s=0.8)
+    script.start(float(chest.tree.root.length_mm) - 15.0)
+    for name in ("RB1", "RB2"):
+        script.enter(name)
+    score = scored(chest, script.poses)
+    assert {"RB1", "RB2"} <= set(score.segments_seen)
+    assert {"RB1", "RB2"} <= {one.name for one in score.events if one.kind == "visit"}
+    assert score.structured_progress == num_steps
+    assert score.segments_revisited == 0
+
+
+def test_only_a_second_entry_is_a_revisit(chest):
+    script = Script(chest.tree, hold_s=0.8)
+    script.start()
+    for _ in range(2):
+        script.enter("RB1")
+        script.go(0, float(chest.tree.root.length_mm) - 30.0)
+        script.wait(0.6)
+    score = scored(chest, script.poses)
+    assert score.segments_revisited == 1
+    assert [(one.kind, one.detail) for one in score.events if one.name == "RB1" and "visit" in one.kind] == [
+        ("visit", "entered"),
+        ("revisit", "entered"),
+    ]
+    assert scored(chest, flown(chest, "RB1", "RB2", "RB1")).segments_revisited == 0
+
+
+def flown_into(chest, *names):
+    script = Script(chest.tree, hold_s=0.8)
+    script.start()
+    for name in names:
+        script.enter(name)
+    return script.poses
+
+
 def test_loops_add_revisits_only(chest):
-    once = scored(chest, flown(chest, "RB1", "RB2", "RB3"))
-    thrice = scored(chest, flown(chest, *("RB1", "RB2", "RB3") * 3))
+    once = scored(chest, flown_into(chest, "RB1", "RB2", "RB3"))
+    thrice = scored(chest, flown_into(chest, *("RB1", "RB2", "RB3") * 3))
     for name in ("diagnostic_completeness", "structured_progress"):
         assert getattr(once, name) == getattr(thrice, name) == 3
     assert (once.segments_revisited, thrice.segments_revisited) == (0, 6)
 
 
-def test_replay_at_four_times_the_speed_loses_the_visits_and_is_reported(chest, best):
+def test_replay_at_four_times_the_speed_loses_the_visits_and_does_not_count(chest, best, best_score):
     fast = scored(chest, best, step_s=0.025)
     assert fast.structured_progress == 0
-    assert "jump" in codes(fast)
+    assert judge_mastery([best_score, fast]).counted == (True, False)
 
 
 def test_replay_of_an_earlier_attempt_does_not_count_at_any_speed(chest, best, best_score):
@@ -253,12 +318,42 @@ def test_landmarks_come_before_the_segments(chest, best):
     assert scored(chest, best, task="inspect-landmarks").structured_progress == 18
 
 
+def test_segments_that_were_seen_but_not_visited_are_named(best_score):
+    done = tuple(name for name in SEGMENTS if name != "RB2")
+    result = replace(best_score.result, completed_frame=None, steps_done=done)
+    line = score_lines(replace(best_score, result=result))[0]
+    assert line.endswith("not completed, 17 of 18 steps; seen but not visited: RB2")
+
+
 def test_time_limit_ends_the_attempt(chest, best):
     score = scored(chest, best, task=replace(find_task("inspect-all"), time_limit_s=10.0))
     assert score.procedure_time_s == 10.0
     assert score.events[-1].name == "time limit"
     assert 0 < score.diagnostic_completeness < 18
     assert not score.result.completed
+
+
+def test_search_that_is_completed_before_the_time_limit_ends_with_the_attempt(chest):
+    script = Script(chest.tree)
+    script.start()
+    script.inspect("RB6")
+    script.wait(20.0)
+    score = scored(chest, script.poses, task=replace(find_task("find-rb6"), time_limit_s=15.0))
+    assert score.result.completed
+    assert score.events[-1].name == "end of the attempt"
+
+
+def test_contacts_after_the_tenth_are_counted_in_the_text(best_score):
+    contact = ScoredContact(1.0, 0.2, "RB1", (0.0, 0.0, 0.0), 3.0)
+    assert "and 2 more contacts; --json lists all of them" in score_lines(replace(best_score, contacts=(contact,) * 12))
+    assert not any("more contacts" in one for one in score_lines(replace(best_score, contacts=(contact,) * 10)))
+
+
+def test_text_of_a_search_names_no_verdict(best_score):
+    search = replace(best_score, task=find_task("find-rb6"), doubts=(AttemptDoubt("incomplete", "cut off"),))
+    assert score_lines(search)[-1] == "doubt about this attempt: cut off"
+    inspection = replace(best_score, doubts=search.doubts)
+    assert score_lines(inspection)[-1] == "this attempt does not count in a verdict: cut off"
 
 
 def test_clock_at_the_carina_starts_later_and_keeps_the_segments(chest, best, best_score):
@@ -279,7 +374,8 @@ def test_flight_that_is_never_in_the_airways_is_refused(chest):
 
 
 def without_segment(tree, name):
-    return AirwayTree(tuple(replace(one, name=None) if one.name == name else one for one in tree.branches))
+    ids = {branch.id for branch in tree.branches if branch.name and segment_of(branch.name) == name}
+    return AirwayTree(tuple(replace(one, name=None) if one.id in ids else one for one in tree.branches))
 
 
 def test_case_that_lacks_a_segment_shows_its_denominator_and_gives_no_mastery(chest):
@@ -288,8 +384,25 @@ def test_case_that_lacks_a_segment_shows_its_denominator_and_gives_no_mastery(ch
     score = score_flight(without_segment(chest.tree, "RB7"), chest.wall, frames, find_task("inspect-all"))
     assert score.num_case_segments == 17
     assert score.diagnostic_completeness == score.structured_progress == 17
-    assert score.notes == ("this case has 17 of the 18 segments; it lacks RB7",)
+    assert score.notes == (
+        "this case has 17 of the 18 segments; no branch has the name RB7 (absent, not found or not named)",
+    )
+    assert "structured progress       17 of 17; " in "\n".join(score_lines(score))
     assert judge_mastery([score]).reasons == (("the case has 17 of 18 segments",),)
+
+
+def test_note_of_a_mirrored_chest_is_part_of_the_score(chest, best):
+    swapped = tuple(
+        replace(one, name=one.name and MIRRORED_NAMES.get(one.name, one.name)) for one in chest.tree.branches
+    )
+    note = Note("track.mirrored", "the airways are mirrored: check the sides", badge=True)
+    tree = replace(chest.tree, branches=swapped, notes=(note,))
+    score = score_flight(
+        tree, chest.wall, flight_frames(recording_of(best[:40], chest.volume)), find_task("inspect-all")
+    )
+    assert score.num_case_segments == 18
+    assert score.notes[0] == note.words
+    assert "mirror image" in score.notes[1]
 
 
 def test_uncertain_names_are_reported(chest, best):
@@ -338,6 +451,46 @@ def test_attempt_that_does_not_count_breaks_the_row(best_score):
     assert judged.verdict is False
 
 
+@pytest.mark.parametrize(
+    ("changed", "reason"),
+    [
+        ({"clock": "carina"}, "the clock starts at the main carina, not below the cords"),
+        ({"revisit_rule": "ignored"}, "a return to a segment is ignored"),
+        ({"hints": ("arrow", "ghost")}, "the task gives hints (arrow, ghost)"),
+    ],
+)
+def test_attempt_under_other_conditions_does_not_count(best_score, changed, reason):
+    eased = replace(best_score, task=replace(best_score.task, **changed))
+    assert judge_mastery([eased]).reasons == ((f"the conditions differ: {reason}",),)
+
+
+def test_attempt_without_an_instrument_does_not_count(best_score):
+    free = tuple(replace(one, is_free_camera=True) for one in best_score.frames.optics)
+    flown_free = replace(best_score, frames=replace(best_score.frames, optics=free))
+    expected = "the conditions differ: the flight used a camera without an instrument"
+    assert judge_mastery([flown_free]).reasons == ((expected,),)
+
+
+def test_recordings_of_one_pose_do_not_count(chest, best, best_score):
+    empty = [scored(chest, [best[n]]) for n in range(4)]
+    assert all(one.doubts == () for one in empty)
+    judged = judge_mastery([*empty, *attempts(best_score, 100, 100)])
+    assert judged.counted == (False,) * 4 + (True, True)
+    assert judged.verdict is None
+    assert judged.reasons[0] == ("no segment was seen", "the tip did not move")
+
+
+def test_sources_state_only_what_they_contain(best_score):
+    document = judge_mastery([best_score]).to_json()
+    assert "in a row" not in document["definition"]
+    assert document["added_rule"] == "in a row: Carina's reading; the source states no order"
+    assert all("not directly comparable" in one.to_json()["remark"] for one in REFERENCE_GROUPS)
+
+
+def test_verdict_states_that_the_order_is_that_of_the_user(best_score):
+    assert "over the recordings that you gave, in your order" in judge_mastery(attempts(best_score, *(100,) * 6)).words
+
+
 def test_17_progressions_are_no_mastery(best_score):
     lower = [replace(one, structured_progress=17) for one in attempts(best_score, *(100,) * 6)]
     assert judge_mastery(lower).verdict is False
@@ -379,6 +532,29 @@ def test_xapi_statements_have_the_required_properties_and_no_verdict(best_score)
         assert "success" not in one["result"]
     assert statements[0]["result"]["score"] == {"raw": 18, "min": 0, "max": 18, "scaled": 1.0}
     assert statements[0]["verb"]["id"].endswith("/completed")
+
+
+def test_exports_state_that_an_attempt_does_not_count(best_score):
+    doubts = (AttemptDoubt("incomplete", "cut off"), AttemptDoubt("start", "at the fork"))
+    cut = replace(best_score, doubts=doubts, frames=replace(best_score.frames, complete=False))
+    values = dict(csv.reader(io.StringIO(scores_csv(cut))))
+    assert (values["counts_in_verdict"], values["doubts"]) == ("False", "incomplete start")
+    statement = xapi_statements(cut)[0]
+    assert statement["result"]["extensions"]["urn:carina:training:counts_in_verdict"] is False
+    assert statement["result"]["extensions"]["urn:carina:training:doubts"] == ["incomplete", "start"]
+    assert statement["result"]["completion"] is False
+    assert statement["verb"]["id"].endswith("/attempted")
+
+
+def test_xapi_score_of_a_search_counts_its_steps(best_score):
+    result = replace(best_score.result, steps_done=("RB6",), num_steps=1)
+    search = replace(best_score, task=find_task("find-rb6"), result=result, diagnostic_completeness=1)
+    assert xapi_statements(search)[0]["result"]["score"] == {"raw": 1, "min": 0, "max": 1, "scaled": 1.0}
+
+
+def test_xapi_identifiers_are_percent_encoded(best_score):
+    own = replace(best_score, task=replace(best_score.task, name="own task / 50 %"))
+    assert xapi_statements(own)[0]["object"]["id"] == "urn:carina:training:task:own%20task%20%2F%2050%20%25"
 
 
 def test_log_is_written_to_a_new_folder(best_score, tmp_path):

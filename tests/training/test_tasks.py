@@ -10,9 +10,14 @@ import numpy as np
 import pytest
 
 from carina.errors import NoResultError, UsageError
-from carina.track import AirwayTree, Branch
+from carina.phantom import generate_phantom
+from carina.track import AirwayTree, Branch, name_tree
 from carina.training import SEGMENTS, Task, find_task, segments_of_case, task_from_file, task_names, task_to_json
+from carina.training.handling import TipPlaces
+from carina.training.openings_in_sight import OpeningSights
 from carina.training.segments import doubtful_names
+from carina.training.task_steps import task_result
+from carina.training.visits import Visit
 
 GOOD = {"format": "carina-task", "version": 1, "name": "own", "title": "Own task", "kind": "inspect"}
 
@@ -72,6 +77,32 @@ def test_example_of_the_guide_is_a_valid_task(tmp_path):
     assert task_from_file(file).segments == ("RB6", "RB8", "LB6")
 
 
+def inspection(order, landmark_frame, *frames):
+    """Return the result of an inspection of two segments, with a landmark in sight up to a frame."""
+    in_sight = np.zeros((100, 1), dtype=bool)
+    in_sight[landmark_frame - 5 : landmark_frame + 1] = True
+    sights = OpeningSights(in_sight, np.full((100, 1), np.inf))
+    visits = [Visit(frame, place) for place, frame in enumerate(frames)]
+    places = TipPlaces(np.zeros(100, dtype=np.int64), np.zeros(100, dtype=bool))
+    return task_result(
+        replace(find_task("inspect-all"), order=order), tree_of("RB1", "RB2"), sights=sights,
+        task_openings=[("main carina", [0])] if order == "landmarks" else [], visits=visits,
+        segments=segments_of_case(tree_of("RB1", "RB2")), places=places, first=0, last=99,
+    )  # fmt: skip
+
+
+def test_landmarks_after_the_segments_do_not_complete_the_task():
+    assert inspection("landmarks", 10, 30, 50).completed
+    late = inspection("landmarks", 40, 30, 50)
+    assert not late.completed
+    assert late.steps_done == ("main carina", "RB2")
+
+
+def test_inspection_is_completed_in_any_order_as_its_title_states():
+    assert inspection("ascending", 90, 50, 30).completed
+    assert "in ascending order" not in find_task("inspect-all").title
+
+
 def test_case_without_a_landmark_is_refused():
     with pytest.raises(NoResultError, match="expected a branch named RMB"):
         find_task("inspect-landmarks").check_case(tree_of("RB1"))
@@ -105,12 +136,57 @@ def test_case_without_the_segment_is_refused_with_its_names():
 
 def test_case_denominator_counts_the_segments_of_the_tree():
     assert len(SEGMENTS) == 18
-    assert [one.name for one in segments_of_case(tree_of("RB2", "LB3", "RB1", "RB6a"))] == ["RB1", "RB2", "LB3"]
+    assert [one.name for one in segments_of_case(tree_of("RB2", "LB3", "RB1", "RB9+10"))] == ["RB1", "RB2", "LB3"]
 
 
 def test_separate_lb1_and_lb2_are_one_segment():
     assert segments_of_case(tree_of("LB1", "LB2"))[0].branch_ids == (1, 2)
     assert segments_of_case(tree_of("LB1")) == ()
+
+
+def true_tree(seed):
+    """Return the exact tree of a phantom that has almost no voxels."""
+    box = ((-10.0, -10.0, -10.0), (10.0, 10.0, 10.0))
+    return AirwayTree.from_json(generate_phantom(seed=seed, spacing_mm=5.0, box_lps=box).truth)
+
+
+def without_stem(tree, name):
+    """Return a tree in which the children of a branch arise where the branch arose, without names."""
+    stem = tree.named(name)
+    made = []
+    for one in tree.branches:
+        branch = replace(one, name=None)
+        if one.id == stem.parent:
+            others = tuple(child for child in one.children if child != stem.id)
+            branch = replace(branch, children=others + stem.children)
+        if one.parent == stem.id:
+            points = np.concatenate([stem.points, one.points[1:]])
+            radius = np.concatenate([np.full(len(stem.points) - 1, one.radius[0]), one.radius])
+            branch = replace(branch, parent=stem.parent, points=points, radius=radius)
+        if one.id != stem.id:
+            made.append(branch)
+    return AirwayTree(tuple(made))
+
+
+@pytest.mark.parametrize(("name", "parts"), [("LB1+2", {"LB1+2a", "LB1+2b"}), ("RB4", {"RB4a", "RB4b"})])
+def test_parts_that_arise_separately_are_one_segment_of_a_named_tree(name, parts):
+    tree = name_tree(without_stem(true_tree(2), name))
+    assert name not in tree.names
+    found = {one.name: one for one in segments_of_case(tree)}
+    assert tuple(found) == SEGMENTS
+    assert {tree.branch(number).name for number in found[name].branch_ids} == parts
+
+
+def test_mirrored_chest_has_the_mirrored_list_of_18_segments():
+    tree = true_tree(1)
+    branches = tuple(replace(one, points=one.points * [-1.0, 1.0, 1.0]) for one in tree.branches)
+    found = [one.name for one in segments_of_case(name_tree(AirwayTree(branches)))]
+    assert found == [f"LB{n}" for n in range(1, 11)] + ["RB1+2"] + [f"RB{n}" for n in (3, 4, 5, 6, 8, 9, 10)]
+
+
+@pytest.mark.parametrize(("given", "segment"), [("LB7+8", "LB8"), ("rb6", "RB6"), ("LB 9", "LB9"), ("RB7a", "RB7")])
+def test_spelling_of_a_person_is_recognised(given, segment):
+    assert [one.name for one in segments_of_case(tree_of(given))] == [segment]
 
 
 @pytest.mark.parametrize(("confidence", "expected"), [(0.79, 1), (0.8, 0)])

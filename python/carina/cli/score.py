@@ -22,7 +22,10 @@ from carina.training import (
     task_names,
     write_flight_log,
 )
-from carina.training.mastery import MASTERY_SOURCE
+from carina.training.mastery import IN_A_ROW_RULE, MASTERY_SOURCE, NOT_COMPARABLE
+
+MAX_CONTACT_LINES = 10
+"""Number of contacts that are printed."""
 
 
 def print_tasks() -> None:
@@ -84,12 +87,14 @@ def score_lines(score: Score) -> list[str]:
     task, result = score.task, score.result
     mean = score.mean_intersegmental_time_s
     done = "completed" if result.completed else f"not completed, {len(result.steps_done)} of {result.num_steps} steps"
+    if task.kind == "inspect" and not result.completed:
+        done += _unvisited_text(score)
     missing = [name for name in score.case_segments if name not in score.segments_seen]
     lines = [
         f"task                      {task.title}: {done}",
         f"diagnostic completeness   {score.diagnostic_completeness} of {len(SEGMENTS)} segments; this case has "
         f"{score.num_case_segments}",
-        f"structured progress       {score.structured_progress} of {len(SEGMENTS)}; a revisit "
+        f"structured progress       {score.structured_progress} of {score.num_case_segments}; a return "
         f"{'breaks the sequence' if task.revisit_rule == 'breaks' else 'is ignored'}",
         f"procedure time            {score.procedure_time_s:.1f} s; the clock starts "
         f"{'below the cords' if task.clock == 'cords' else 'at the main carina'}",
@@ -109,21 +114,31 @@ def score_lines(score: Score) -> list[str]:
         lines.insert(1, f"wrong places              {result.num_wrong}")
     lines += [
         f"contact at {one.time_s:6.1f} s       {one.branch}, {one.clock_hour:.0f} o'clock, {one.duration_s:.1f} s"
-        for one in score.contacts[:10]
+        for one in score.contacts[:MAX_CONTACT_LINES]
     ]
+    if len(score.contacts) > MAX_CONTACT_LINES:
+        lines.append(f"and {len(score.contacts) - MAX_CONTACT_LINES} more contacts; --json lists all of them")
     lines += [f"note: {note}" for note in score.notes]
-    lines += [f"this attempt does not count in a verdict: {one.words}" for one in score.doubts]
+    doubt = "this attempt does not count in a verdict" if task.kind == "inspect" else "doubt about this attempt"
+    lines += [f"{doubt}: {one.words}" for one in score.doubts]
     return lines
+
+
+def _unvisited_text(score: Score) -> str:
+    """Return which segments were seen but not visited for the task; empty if there are none."""
+    names = [name for name in score.segments_seen if name not in score.result.steps_done]
+    after = " after the landmarks" if score.task.order == "landmarks" else ""
+    return f"; seen but not visited{after}: {', '.join(names)}" if names else ""
 
 
 def mastery_lines(score: Score, mastery: Mastery) -> list[str]:
     """Return the verdict and the published reference values as lines of text; none for other tasks."""
     if score.task.kind != "inspect":
         return []
-    lines = [mastery.words, f"definition: {mastery.to_json()['definition']} ({MASTERY_SOURCE})", ""]
+    lines = [mastery.words, f"definition: {mastery.to_json()['definition']} ({MASTERY_SOURCE}); {IN_A_ROW_RULE}", ""]
     lines += [
         f"{one.group:20} {one.diagnostic_completeness:2.0f} segments, {one.structured_progress:2.0f} progressions, "
         f"{one.procedure_time_s:3.0f} s, {one.mean_intersegmental_time_s:2.0f} s per segment"
         for one in REFERENCE_GROUPS
     ]
-    return [*lines, f"Source of these values: {REFERENCE_GROUPS[0].source}."]
+    return [*lines, f"Source of these values: {REFERENCE_GROUPS[0].source}; {NOT_COMPARABLE}."]

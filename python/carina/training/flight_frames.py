@@ -67,6 +67,8 @@ class FlightFrames:
     """False if the recording was cut off."""
     recorded_poses: Poses = field(repr=False)
     """(m, 4, 4) all recorded poses, mm."""
+    recorded_times_s: NDArray[np.float64] = field(repr=False)
+    """(m,) time of each recorded pose from the start of the recording, s."""
 
     @property
     def times_s(self) -> NDArray[np.float64]:
@@ -124,7 +126,7 @@ def flight_frames(recording: Recording) -> FlightFrames:
     numbers = latest_before(pose_times_s, times_s)
     # A view that is recorded at the start applies to frame 0.
     view_numbers = np.searchsorted(np.array([at for at, _ in views]), times_s + 1e-9, side="right")
-    return FlightFrames(poses[numbers], numbers, view_numbers, optics, recording.complete, poses)
+    return FlightFrames(poses[numbers], numbers, view_numbers, optics, recording.complete, poses, pose_times_s)
 
 
 def latest_before(known_s: NDArray[np.float64], times_s: NDArray[np.float64]) -> NDArray[np.int64]:

@@ -28,8 +28,11 @@ MIDDLE_SHARE = 0.25
 """
 OUTSIDE_MM = -0.5
 """Distance to the wall in mm below which the tip has left the airways."""
-JUMP_MM_S = 200.0
-"""Speed in mm/s above which the tip has jumped instead of moved."""
+JUMP_MM_S = 1000.0
+"""Limit of Carina in mm/s: above this speed the tip has jumped instead of moved.
+
+A quick withdrawal of 100 mm in 0.4 s is well below this speed.
+"""
 PLACES_MM = 1.0
 """Distance in mm between the points of the centrelines in which the position of the tip is looked up."""
 

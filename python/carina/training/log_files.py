@@ -8,6 +8,7 @@ from __future__ import annotations
 import csv
 import io
 import json
+import urllib.parse
 import uuid
 from collections.abc import Iterable, Sequence
 from pathlib import Path
@@ -63,9 +64,32 @@ def score_values(score: Score) -> dict[str, Any]:
     return {**document["published"], **document["without_mark"]}
 
 
+def _validity(score: Score) -> dict[str, Any]:
+    """Return whether an attempt counts in a verdict, and the codes of its doubts."""
+    return {"counts_in_verdict": not score.doubts, "doubts": [one.code for one in score.doubts]}
+
+
+def _xapi_score(score: Score) -> dict[str, Any]:
+    """Return the xAPI score: segments seen for an inspection, otherwise the steps of the task that were done."""
+    raw, most = score.diagnostic_completeness, score.num_case_segments
+    if score.task.kind != "inspect":
+        raw, most = len(score.result.steps_done), score.result.num_steps
+    return {"raw": raw, "min": 0, "max": most, "scaled": raw / max(most, 1)}
+
+
+def _iri(target: str) -> str:
+    return f"{PLACE}:{urllib.parse.quote(target, safe=':-._~+')}"
+
+
 def scores_csv(score: Score) -> str:
     """Return the scores as CSV: measure and value; an unknown value is empty."""
-    values = {"task": score.task.name, "completed": score.result.completed, **score_values(score)}
+    values = {
+        "task": score.task.name,
+        "completed": score.result.completed,
+        **_validity(score),
+        **score_values(score),
+    }
+    values["doubts"] = " ".join(values["doubts"])
     return _csv(("measure", "value"), ((name, "" if value is None else value) for name, value in values.items()))
 
 
@@ -95,22 +119,21 @@ def xapi_statements(score: Score, *, learner: str = "learner") -> list[dict[str,
             "version": XAPI_VERSION,
             "actor": actor,
             "verb": {"id": VERBS[verb], "display": {"en": verb}},
-            "object": {"objectType": "Activity", "id": f"{PLACE}:{target}", "definition": definition},
+            "object": {"objectType": "Activity", "id": _iri(target), "definition": definition},
             "result": result,
         }
 
-    seen = score.diagnostic_completeness
-    most = max(score.num_case_segments, 1)
+    extensions = {**_validity(score), **score_values(score)}
     whole = statement(
         0,
-        "completed" if score.result.completed else "attempted",
+        "completed" if score.result.completed and score.frames.complete else "attempted",
         f"task:{score.task.name}",
         score.task.title,
         result={
-            "completion": score.result.completed,
+            "completion": score.result.completed and score.frames.complete,
             "duration": f"PT{score.procedure_time_s:.1f}S",
-            "score": {"raw": seen, "min": 0, "max": most, "scaled": seen / most},
-            "extensions": {f"{PLACE}:{name}": value for name, value in score_values(score).items()},
+            "score": _xapi_score(score),
+            "extensions": {f"{PLACE}:{name}": value for name, value in extensions.items()},
         },
         kind=ACTIVITY_TYPE,
     )
@@ -118,8 +141,8 @@ def xapi_statements(score: Score, *, learner: str = "learner") -> list[dict[str,
     for event in score.events:
         if event.kind in STATEMENTS_OF:
             target = f"{event.kind}:{event.name.replace(' ', '-')}"
-            extensions = {f"{PLACE}:time_s": event.time_s}
-            found.append(statement(len(found), "experienced", target, event.name, result={"extensions": extensions}))
+            at_s = {f"{PLACE}:time_s": event.time_s}
+            found.append(statement(len(found), "experienced", target, event.name, result={"extensions": at_s}))
     return found
 
 

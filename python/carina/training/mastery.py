@@ -15,6 +15,8 @@ MASTERY_IN_A_ROW = 2
 MASTERY_SOURCE = "Cold 2024, Respiration, 10.1159/000542045"
 """Source: mastery is two procedures with 18 segments, 18 progressions and less than 120 s each."""
 ATTEMPTS_FOR_VERDICT = 6
+IN_A_ROW_RULE = "in a row: Carina's reading; the source states no order"
+NOT_COMPARABLE = "measured with another system; not directly comparable"
 VERDICT_SOURCE = "Konge 2011, Respiration 81:483"
 """Source: a single attempt supports no judgement; six give a generalisability coefficient above 0.80."""
 
@@ -40,6 +42,7 @@ class ReferenceGroup:
             "procedure_time_s": self.procedure_time_s,
             "mean_intersegmental_time_s": self.mean_intersegmental_time_s,
             "source": self.source,
+            "remark": NOT_COMPARABLE,
         }
 
 
@@ -88,7 +91,8 @@ class Mastery:
                 f"no verdict: it needs {ATTEMPTS_FOR_VERDICT} attempts that count ({VERDICT_SOURCE}); "
                 f"found {self.num_counted}"
             )
-        return f"mastery {'reached' if self.verdict else 'not reached'} ({MASTERY_SOURCE})"
+        reached = "reached" if self.verdict else "not reached"
+        return f"mastery {reached} over the recordings that you gave, in your order ({MASTERY_SOURCE})"
 
     def to_json(self) -> dict[str, Any]:
         """Return the verdict as plain JSON types."""
@@ -102,9 +106,10 @@ class Mastery:
             "reasons": [list(one) for one in self.reasons],
             "two_in_a_row": self.two_in_a_row,
             "definition": (
-                f"{MASTERY_IN_A_ROW} procedures in a row with {len(SEGMENTS)} segments, {len(SEGMENTS)} progressions "
+                f"{MASTERY_IN_A_ROW} procedures with {len(SEGMENTS)} segments, {len(SEGMENTS)} progressions "
                 f"and less than {MASTERY_TIME_S:.0f} s each"
             ),
+            "added_rule": IN_A_ROW_RULE,
             "sources": [MASTERY_SOURCE, VERDICT_SOURCE],
         }
 
@@ -112,8 +117,10 @@ class Mastery:
 def judge_mastery(scores: Sequence[Score]) -> Mastery:
     """Judge mastery over the attempts of one learner.
 
-    An attempt does not count if its score has doubts, if its task is not an inspection of all segments, if the case
-    lacks one of the 18 segments, or if its poses repeat those of an earlier attempt (a replay, at any speed).
+    An attempt does not count if its score has doubts, if no segment was seen or the tip did not move, if its task is
+    not an inspection of all segments under the standard conditions, if the case lacks one of the 18 segments, or if
+    its poses repeat those of an earlier attempt (a replay, at any speed). The standard conditions are Carina's: the
+    clock starts below the cords, a return breaks the sequence, no hints, and an instrument instead of a free camera.
 
     Parameters
     ----------
@@ -125,6 +132,11 @@ def judge_mastery(scores: Sequence[Score]) -> Mastery:
         why = [one.words for one in score.doubts]
         if score.task.kind != "inspect":
             why.append("mastery is defined for the inspection of all segments")
+        why += [f"the conditions differ: {one}" for one in _other_conditions(score)]
+        if score.diagnostic_completeness < 1:
+            why.append("no segment was seen")
+        if score.path_length_mm <= 0.0 or score.procedure_time_s <= 0.0:
+            why.append("the tip did not move")
         if score.num_case_segments < len(SEGMENTS):
             why.append(f"the case has {score.num_case_segments} of {len(SEGMENTS)} segments")
         same = next((n for n in range(number) if score.frames.repeats(scores[n].frames)), None)
@@ -134,6 +146,19 @@ def judge_mastery(scores: Sequence[Score]) -> Mastery:
         counted.append(not why)
         passed.append(not why and is_mastery_procedure(score))
     return Mastery(tuple(passed), tuple(counted), tuple(reasons))
+
+
+def _other_conditions(score: Score) -> list[str]:
+    """Return the conditions of an attempt that differ from the standard conditions, as texts for the user."""
+    task, frames = score.task, score.frames
+    used = {frames.optics[number].is_free_camera for number in set(frames.optics_number.tolist())}
+    differing = {
+        "the clock starts at the main carina, not below the cords": task.clock != "cords",
+        "a return to a segment is ignored": task.revisit_rule != "breaks",
+        f"the task gives hints ({', '.join(task.hints)})": bool(task.hints),
+        "the flight used a camera without an instrument": True in used,
+    }
+    return [text for text, differs in differing.items() if differs]
 
 
 def is_mastery_procedure(score: Score) -> bool:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from carina.display import one_line
 from carina.plan.turns.opening_walls import ForkWalls
-from carina.scopes import ScopePreset, WallField
+from carina.scopes import Optics, ScopePreset, WallField
 from carina.track import AirwayTree
 from carina.training.flight_frames import FlightFrames
 
@@ -24,7 +24,9 @@ PICTURE_PX = 64
 MIN_PICTURE_SHARE = 0.01
 """Least share of the picture's pixels that an opening in sight covers, unoccluded."""
 MIN_CLEAR_SHARE = 0.5
-"""Least share of an opening's pixels in the picture that the wall does not hide."""
+"""Least share of an opening's area that is in the picture and that the wall does not hide."""
+DISK_POINTS = 200
+"""Number of points, spread evenly over an opening, by which this share is counted."""
 MAX_RED_OUT = 0.5
 """Red-out from which nothing is in sight; see `red_out`."""
 LINE_STEP_MM = 0.5
@@ -100,6 +102,13 @@ def red_out(wall_mm: Points, tip_radius_mm: Points | float) -> Points:
     return np.clip((0.6 * tip_radius_mm - wall_mm) / (0.45 * tip_radius_mm), 0.0, 1.0)
 
 
+def clear_views(frames: FlightFrames, wall: WallField) -> NDArray[np.bool_]:
+    """Return (n,) whether the red-out is below :data:`MAX_RED_OUT` at each frame."""
+    tip_mm = np.array([one.scope.tip_mm / 2.0 for one in frames.optics])[frames.optics_number]
+    clear: NDArray[np.bool_] = red_out(wall.distance_mm(frames.lps_from_tip[:, :3, 3]), tip_mm) < MAX_RED_OUT
+    return clear
+
+
 def openings_in_sight(
     frames: FlightFrames,
     openings: Sequence[BranchOpening],
@@ -130,8 +139,7 @@ def openings_in_sight(
     if not openings:
         return OpeningSights(in_sight, off_middle)
     cameras = frames.cameras()
-    tip_mm = np.array([one.scope.tip_mm / 2.0 for one in frames.optics])[frames.optics_number]
-    clear_view = red_out(wall.distance_mm(frames.lps_from_tip[:, :3, 3]), tip_mm) < MAX_RED_OUT
+    clear_view = clear_views(frames, wall)
     middles = np.stack([one.middle_lps for one in openings])
     directions = np.stack([one.dir_lps for one in openings])
     for n in range(first, last + 1):
@@ -143,13 +151,15 @@ def openings_in_sight(
         if not clear_view[n]:
             continue
         optics = frames.optics[frames.optics_number[n]]
-        rays, places, total = _picture(optics.scope, optics.counted_fov_deg)
+        rays, places, total, lens = _picture(optics.scope, optics.counted_fov_deg)
         camera = cameras[n]
         to_middles = middles - camera[:3, 3]
         ahead = (to_middles * directions).sum(axis=1) > 0.0
         for k in np.flatnonzero(ahead).tolist():
             found = _visible_pixels(openings[k], camera, rays, wall, least=MIN_PICTURE_SHARE * total)
-            if found is not None:
+            if found is None:
+                continue
+            if _visible_share(openings[k], camera, lens, optics.counted_fov_deg, wall) >= MIN_CLEAR_SHARE:
                 in_sight[n, k] = True
                 off_middle[n, k] = float(np.linalg.norm(places[found].mean(axis=0)))
     return OpeningSights(in_sight, off_middle)
@@ -164,7 +174,7 @@ def _same(frames: FlightFrames, n: int) -> bool:
 def _visible_pixels(
     opening: BranchOpening, camera: Points, rays: Points, wall: WallField, *, least: float
 ) -> NDArray[np.int64] | None:
-    """Return the indices of the rays that meet an opening before a wall; None if the opening is not in sight."""
+    """Return the indices of the rays that meet an opening before a wall; None if they are fewer than ``least``."""
     eye, lps_from_camera = camera[:3, 3], camera[:3, :3]
     middle = lps_from_camera.T @ (opening.middle_lps - eye)
     away = float(np.linalg.norm(middle))
@@ -182,9 +192,31 @@ def _visible_pixels(
     if len(hit) < least or not len(hit):
         return None
     clear: NDArray[np.int64] = hit[_lines_in_lumen(eye, rays[hit] @ lps_from_camera.T, depth, wall)]
-    if len(clear) < least or len(clear) < MIN_CLEAR_SHARE * len(hit):
-        return None
-    return clear
+    return clear if len(clear) >= least else None
+
+
+def _visible_share(opening: BranchOpening, camera: Points, lens: Optics, fov_deg: float, wall: WallField) -> float:
+    """Return the share of an opening's area that is in the picture and that the wall does not hide."""
+    eye, lps_from_camera = camera[:3, 3], camera[:3, :3]
+    across = np.linalg.svd(opening.dir_lps[None])[2][1:]
+    ways = opening.middle_lps + opening.radius_mm * _spiral() @ across - eye
+    depth = np.linalg.norm(ways, axis=1)
+    rays = ways / np.maximum(depth, 1e-9)[:, None]
+    in_camera = rays @ lps_from_camera
+    with np.errstate(invalid="ignore"):
+        off = np.linalg.norm(lens.pixels_of(in_camera) - PICTURE_PX / 2, axis=1)
+        shown = (off <= PICTURE_PX / 2) & (in_camera[:, 2] >= np.cos(np.radians(fov_deg / 2.0)) - 1e-9)
+    if int(shown.sum()) < MIN_CLEAR_SHARE * DISK_POINTS:
+        return 0.0
+    return int(_lines_in_lumen(eye, rays[shown], depth[shown], wall).sum()) / DISK_POINTS
+
+
+@functools.cache
+def _spiral() -> Points:
+    """Return points (n, 2) that are spread evenly over the unit disk, on a spiral of the golden angle."""
+    number = np.arange(DISK_POINTS)
+    radius, angle = np.sqrt((number + 0.5) / DISK_POINTS), number * np.pi * (3.0 - np.sqrt(5.0))
+    return radius[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
 
 
 def _lines_in_lumen(eye: Points, rays_lps: Points, depth_mm: Points, wall: WallField) -> NDArray[np.bool_]:
@@ -200,8 +232,8 @@ def _lines_in_lumen(eye: Points, rays_lps: Points, depth_mm: Points, wall: WallF
 
 
 @functools.lru_cache(maxsize=8)
-def _picture(scope: ScopePreset, fov_deg: float) -> tuple[Points, Points, int]:
-    """Return the rays (m, 3) of the counted pixels, their places in the picture, and the number of all its pixels.
+def _picture(scope: ScopePreset, fov_deg: float) -> tuple[Points, Points, int, Optics]:
+    """Return the rays (m, 3) of the counted pixels, their places, the number of all pixels, and the optics.
 
     The picture is the circle that the instrument's picture of :data:`PICTURE_PX` pixels contains. A place is the
     distance to the right and down from the middle, in radii of the picture. Pixels beyond ``fov_deg`` do not count.
@@ -212,7 +244,8 @@ def _picture(scope: ScopePreset, fov_deg: float) -> tuple[Points, Points, int]:
     places = (pixels - PICTURE_PX / 2) / (PICTURE_PX / 2)
     inside = np.linalg.norm(places, axis=1) <= 1.0
     pixels, places = pixels[inside], places[inside]
-    rays = scope.lens.optics(PICTURE_PX, PICTURE_PX, scope.usual_fov_deg).directions_of(pixels)
+    optics = scope.lens.optics(PICTURE_PX, PICTURE_PX, scope.usual_fov_deg)
+    rays = optics.directions_of(pixels)
     with np.errstate(invalid="ignore"):
         counted = rays[:, 2] >= np.cos(np.radians(fov_deg / 2.0)) - 1e-9
-    return rays[counted], places[counted], len(pixels)
+    return rays[counted], places[counted], len(pixels), optics

@@ -16,7 +16,9 @@ from carina.errors import NoResultError
 from carina.navigate import Recording, open_recording
 from carina.scopes import WallField
 from carina.track import Airways, AirwayTree, wall_field
+from carina.track.names.name_texts import MIRRORED
 from carina.training.attempt_checks import AttemptDoubt, attempt_doubts
+from carina.training.entries import entries_of, openings_entered, openings_passed
 from carina.training.events import FlightEvent
 from carina.training.flight_frames import FRAME_HZ, FlightFrames, flight_frames
 from carina.training.handling import (
@@ -28,8 +30,16 @@ from carina.training.handling import (
     tip_places,
     wall_contacts,
 )
-from carina.training.openings_in_sight import branch_openings, openings_in_sight
-from carina.training.segments import LANDMARKS, SEGMENTS, CaseSegment, needed_branches, segments_of_case
+from carina.training.openings_in_sight import branch_openings, clear_views, openings_in_sight
+from carina.training.segments import (
+    LANDMARKS,
+    SEGMENTS,
+    CaseSegment,
+    is_mirrored,
+    needed_branches,
+    published_segments,
+    segments_of_case,
+)
 from carina.training.task import Clock, Task
 from carina.training.task_file import DEFAULT_TASK, find_task
 from carina.training.task_steps import TaskResult, task_result
@@ -63,6 +73,8 @@ class Score:
     """DC: number of segments seen, 0 to 18."""
     case_segments: tuple[str, ...]
     """Segments that the case has: the case's own denominator beside 18."""
+    segments_absent: tuple[str, ...]
+    """Segments of the 18 without a named branch in the case."""
     structured_progress: int
     """SP: number of moves from one segment to the next in ascending order, 0 to 18."""
     procedure_time_s: float
@@ -70,7 +82,7 @@ class Score:
     mean_intersegmental_time_s: float | None
     """MIT: procedure time divided by the number of segments seen, s; None if no segment was seen."""
     segments_revisited: int
-    """SR: number of visits of segments that were visited before."""
+    """SR: number of times that the tip entered a segment that it had entered and left before."""
     segments_seen: tuple[str, ...]
     """Seen segments, in the order in which they were seen."""
     path_length_mm: float
@@ -130,7 +142,7 @@ class Score:
             },
             "segments_seen": list(self.segments_seen),
             "segments_not_seen": [name for name in self.case_segments if name not in self.segments_seen],
-            "segments_absent": [name for name in SEGMENTS if name not in self.case_segments],
+            "segments_absent": list(self.segments_absent),
             "contacts": [
                 {
                     "time_s": one.time_s,
@@ -245,7 +257,12 @@ def score_flight(
         last=last,
         report=None if report is None else lambda share: report("scoring the flight", share),
     )
-    visits = visits_of(sights, openings_of.segments)
+    of_segments = openings_of.openings[: openings_of.num_of_segments]
+    passed = openings_passed(frames.lps_from_tip[:, :3, 3], places.branch_ids, tree, of_segments)
+    passed[:first] = passed[last + 1 :] = -1
+    clear = clear_views(frames, wall)
+    entries = entries_of(passed, clear, openings_of.segments)
+    visits = visits_of(sights, openings_of.segments, entries)
     result = task_result(
         task,
         tree,
@@ -258,18 +275,20 @@ def score_flight(
         last=last,
     )
     if result.completed_frame is not None and task.kind != "inspect":
-        last = result.completed_frame
+        last, timed_out = result.completed_frame, False
         visits = [visit for visit in visits if visit.frame <= last]
+        entries = [entry for entry in entries if entry.frame <= last]
     contacts, red = wall_contacts(frames, wall, places, first=first, last=last)
-    doubts = attempt_doubts(
-        frames, wall_mm, task, tree, [one for part in segments for one in part.branch_ids], first=first, last=last
-    )
+    segment_ids = [one for part in segments for one in part.branch_ids]
+    doubts = attempt_doubts(frames, wall, task, tree, segment_ids, branch_ids=places.branch_ids, first=first, last=last)
     seen = [
         (frame, segments[n].name)
-        for n, frame in enumerate(places_seen(sights, openings_of.segments))
+        for n, frame in enumerate(
+            places_seen(sights, openings_of.segments, openings_entered(passed, clear, len(of_segments)))
+        )
         if frame is not None and frame <= last
     ]
-    steps, again = progress_steps(visits, task.revisit_rule), revisits_of(visits)
+    steps, again = progress_steps(visits, task.revisit_rule), revisits_of(entries)
     time_s = (last - first) / FRAME_HZ
     tips = frames.lps_from_tip[first : last + 1, :3, 3]
     names = {branch.id: branch.name or f"branch {branch.id}" for branch in tree.branches}
@@ -283,11 +302,13 @@ def score_flight(
         *(FlightEvent(one.time_s, "doubt", one.code) for one in doubts if one.time_s is not None),
         FlightEvent(last / FRAME_HZ, "clock-end", "time limit" if timed_out else "end of the attempt"),
     ]
+    absent = tuple(name for name in published_segments(tree) if name not in {one.name for one in segments})
     order = {"clock-start": 0, "clock-end": 2}
     return Score(
         task=task,
         diagnostic_completeness=len(seen),
         case_segments=tuple(one.name for one in segments),
+        segments_absent=absent,
         structured_progress=len(steps),
         procedure_time_s=time_s,
         mean_intersegmental_time_s=time_s / len(seen) if seen else None,
@@ -301,7 +322,7 @@ def score_flight(
         lumen_in_middle=float(places.lumen_in_middle[first : last + 1].mean()),
         result=result,
         doubts=doubts,
-        notes=_notes(frames, segments, task),
+        notes=(*_case_notes(tree, absent), *_flight_notes(frames, task)),
         events=tuple(sorted(events, key=lambda one: (one.time_s, order.get(one.kind, 1)))),
         frames=frames,
         clock_start_s=first / FRAME_HZ,
@@ -322,6 +343,8 @@ class _Openings:
 
         self.segments = [[index_of(one) for one in segment.branch_ids] for segment in segments]
         """Indices of the openings of each segment."""
+        self.num_of_segments = len(ids)
+        """Number of openings of segments, which are the first ones."""
         self.task_openings: list[tuple[str, list[int]]] = []
         """Name and indices of the openings of each landmark, or of the structure to hold."""
         wanted = LANDMARKS if task.kind == "inspect" and task.order == "landmarks" else ()
@@ -366,10 +389,12 @@ def clock_start(
 def _visit_events(
     visits: list[Visit], steps: list[Visit], again: list[Visit], segments: tuple[CaseSegment, ...]
 ) -> list[FlightEvent]:
+    """Return the events of visits, progressions and revisits; a visit that is a revisit has one event."""
     found = []
-    for visit in visits:
+    for visit in sorted({*visits, *again}, key=lambda one: one.frame):
         at_s, name = visit.frame / FRAME_HZ, segments[visit.place].name
-        found.append(FlightEvent(at_s, "revisit" if visit in again else "visit", name))
+        detail = "entered" if visit.entered else "opening in view"
+        found.append(FlightEvent(at_s, "revisit" if visit in again else "visit", name, detail))
         if visit in steps:
             found.append(FlightEvent(at_s, "progress", name))
     return found
@@ -385,11 +410,24 @@ def _scored_contact(contact: WallContact, names: dict[int, str]) -> ScoredContac
     )
 
 
-def _notes(frames: FlightFrames, segments: tuple[CaseSegment, ...], task: Task) -> tuple[str, ...]:
+def _case_notes(tree: AirwayTree, absent: tuple[str, ...]) -> list[str]:
     found = []
-    absent = [name for name in SEGMENTS if name not in {one.name for one in segments}]
+    if is_mirrored(tree):
+        found += [note.words for note in tree.notes if note.code == MIRRORED]
+        found.append(
+            "the segments of the scores are the mirror image of the published list: LB1 to LB10, RB1+2 to RB10"
+        )
     if absent:
-        found.append(f"this case has {len(segments)} of the {len(SEGMENTS)} segments; it lacks {', '.join(absent)}")
+        num = len(SEGMENTS) - len(absent)
+        found.append(
+            f"this case has {num} of the {len(SEGMENTS)} segments; no branch has the name {' or '.join(absent)} "
+            "(absent, not found or not named)"
+        )
+    return found
+
+
+def _flight_notes(frames: FlightFrames, task: Task) -> tuple[str, ...]:
+    found = []
     used = [frames.optics[n] for n in sorted(set(frames.optics_number.tolist()))]
     for one in used:
         if one.is_wider:

@@ -10,7 +10,8 @@ from carina.display import one_line
 from carina.errors import NoResultError, UsageError
 from carina.scopes import scope_presets
 from carina.track import AirwayTree
-from carina.training.segments import LANDMARKS, SEGMENTS, needed_branches
+from carina.track.names.name_texts import bare_name
+from carina.training.segments import LANDMARKS, SEGMENTS, label_of, needed_branches
 
 TaskKind = Literal["inspect", "find", "sequence", "turns", "hold"]
 TaskOrder = Literal["ascending", "landmarks"]
@@ -148,8 +149,8 @@ def names_on_way(tree: AirwayTree, task: Task) -> list[str]:
     """
     wanted = needed_branches(tree, task.branches, task=task.name)
     lineage = tree.lineage(wanted[-1].id)
-    way = list(dict.fromkeys(branch.name or f"branch {branch.id}" for branch in lineage))
-    places = [way.index(name) if name in way else -1 for name in task.branches]
+    way = list(dict.fromkeys(label_of(branch) for branch in lineage))
+    places = [way.index(name) if name in way else -1 for name in map(bare_name, task.branches)]
     if -1 in places or places != sorted(places):
         raise NoResultError(
             f"task {task.name}: branches: expected branches in their order on the way {', '.join(way)}; found "

@@ -10,16 +10,15 @@ import numpy as np
 
 from carina.display import one_line
 from carina.track import AirwayTree
+from carina.track.names.name_texts import bare_name
+from carina.training.entries import ENTERED_S
 from carina.training.events import FlightEvent
 from carina.training.flight_frames import FRAME_HZ
 from carina.training.handling import TipPlaces
 from carina.training.openings_in_sight import OpeningSights
-from carina.training.segments import CaseSegment
+from carina.training.segments import CaseSegment, label_of
 from carina.training.task import Task, names_on_way
 from carina.training.visits import MIDDLE, SEEN_S, Visit, first_run, frames_of, run_ends
-
-ENTERED_S = 0.5
-"""Time in s for which the tip is in a branch without a break when the branch is entered."""
 
 
 @one_line
@@ -107,7 +106,10 @@ def _inspection(
     segments: Sequence[CaseSegment],
     visits: Sequence[Visit],
 ) -> TaskResult:
-    """Return the result of an inspection: the landmarks in their order, and all segments of the case visited."""
+    """Return the result of an inspection: the landmarks in their order, then all segments of the case visited.
+
+    Visits before the last landmark do not count. The order of the segments is free; structured progress scores it.
+    """
     events, done, after = [], [], -1
     for name, openings in landmarks:
         frame = next((at for at in _frames_in_sight(sights, openings) if at > after), None)
@@ -118,7 +120,8 @@ def _inspection(
         events.append(_event(frame, "landmark", name))
     visited: dict[int, int] = {}
     for visit in visits:
-        visited.setdefault(visit.place, visit.frame)
+        if len(done) == len(landmarks) and visit.frame > after:
+            visited.setdefault(visit.place, visit.frame)
     done += [segments[place].name for place in visited]
     complete = len(done) == len(landmarks) + len(segments)
     frame = max([after, *visited.values()]) if complete else None
@@ -162,7 +165,8 @@ def _turns(task: Task, tree: AirwayTree, places: TipPlaces, first: int, last: in
     only a twig leaves have one name and count as one branch.
     """
     way = names_on_way(tree, task)
-    names = {branch.id: branch.name or f"branch {branch.id}" for branch in tree.branches}
+    names = {branch.id: label_of(branch) for branch in tree.branches}
+    wanted = [bare_name(name) for name in task.branches]
     numbers = {name: n for n, name in enumerate(dict.fromkeys(names.values()))}
     by_number = {n: name for name, n in numbers.items()}
     at = np.array([numbers[names[int(one)]] for one in places.branch_ids[first : last + 1]], dtype=np.int64)
@@ -175,10 +179,10 @@ def _turns(task: Task, tree: AirwayTree, places: TipPlaces, first: int, last: in
             wrong += 1
             events.append(_event(first + frame, "wrong-branch", name))
             continue
-        while len(done) < len(task.branches) and way.index(task.branches[len(done)]) <= way.index(name):
-            events.append(_event(first + frame, "entered", task.branches[len(done)]))
-            done.append(task.branches[len(done)])
-        if len(done) == len(task.branches):
+        while len(done) < len(wanted) and way.index(wanted[len(done)]) <= way.index(name):
+            events.append(_event(first + frame, "entered", wanted[len(done)]))
+            done.append(wanted[len(done)])
+        if len(done) == len(wanted):
             events.append(_event(first + frame, "completed", task.name))
             return TaskResult(first + frame, tuple(done), len(done), wrong, tuple(events))
-    return TaskResult(None, tuple(done), len(task.branches), wrong, tuple(events))
+    return TaskResult(None, tuple(done), len(wanted), wrong, tuple(events))

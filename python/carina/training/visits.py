@@ -32,6 +32,8 @@ class Visit:
 
     frame: int
     place: int
+    entered: bool = False
+    """Whether the tip entered the place; otherwise its opening was held in the middle of the picture."""
 
 
 def frames_of(seconds: float) -> int:
@@ -60,7 +62,9 @@ def run_ends(values: NDArray[np.int64], seconds: float) -> list[tuple[int, int]]
     ]
 
 
-def places_seen(sights: OpeningSights, places: Sequence[Sequence[int]]) -> list[int | None]:
+def places_seen(
+    sights: OpeningSights, places: Sequence[Sequence[int]], entered: Sequence[int | None] = ()
+) -> list[int | None]:
     """Return for each place the frame at which all its openings have been seen, or None.
 
     Parameters
@@ -69,11 +73,15 @@ def places_seen(sights: OpeningSights, places: Sequence[Sequence[int]]) -> list[
         Openings in the frames of a flight.
     places
         Indices of the openings of each place; nearly always one.
+    entered
+        Frame for each opening at which it is seen from inside (`carina.training.entries.openings_entered`), or None.
     """
     found: list[int | None] = []
     for openings in places:
-        frames = [first_run(sights.in_sight[:, k], SEEN_S) for k in openings]
-        known = [frame for frame in frames if frame is not None]
+        frames = [
+            [first_run(sights.in_sight[:, k], SEEN_S), entered[k] if k < len(entered) else None] for k in openings
+        ]
+        known = [min(at for at in pair if at is not None) for pair in frames if pair != [None, None]]
         found.append(max(known) if len(known) == len(frames) else None)
     return found
 
@@ -90,12 +98,23 @@ def place_in_middle(sights: OpeningSights, places: Sequence[Sequence[int]]) -> N
     return np.where(off[np.arange(len(off)), best] <= MIDDLE, best, -1)
 
 
-def visits_of(sights: OpeningSights, places: Sequence[Sequence[int]]) -> list[Visit]:
-    """Return the visits of places in their order; consecutive visits of one place are one visit."""
+def visits_of(sights: OpeningSights, places: Sequence[Sequence[int]], entries: Sequence[Visit] = ()) -> list[Visit]:
+    """Return the visits of places in their order; consecutive visits of one place are one visit.
+
+    Parameters
+    ----------
+    sights
+        Openings in the frames of a flight.
+    places
+        Indices of the openings of each place.
+    entries
+        Entries of the tip into places (`carina.training.entries.entries_of`), which are visits too.
+    """
+    held = [Visit(frame, place) for frame, place in run_ends(place_in_middle(sights, places), VISIT_S) if place >= 0]
     visits: list[Visit] = []
-    for frame, place in run_ends(place_in_middle(sights, places), VISIT_S):
-        if place >= 0 and not (visits and visits[-1].place == place):
-            visits.append(Visit(frame, place))
+    for visit in sorted([*entries, *held], key=lambda one: one.frame):
+        if not (visits and visits[-1].place == visit.place):
+            visits.append(visit)
     return visits
 
 
