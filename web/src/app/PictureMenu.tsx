@@ -13,8 +13,8 @@ import { Icon } from "./icons";
 export function PictureMenu({ view }: { view: ViewName }) {
   const watches = useApp((state) => state.watches);
   const shown = useApp((state) => state.frames[view] !== undefined);
-  if (watches) return null;
   const keysBack = useKeysBack();
+  if (watches) return null;
   const name = pictureName(view);
   const words = shown ? `Save or copy a picture of the ${name}` : `Nothing to save: the ${name} has no picture yet`;
   return (
