@@ -167,8 +167,8 @@ mod tests {
                         .sum::<f32>()
                         .sqrt();
                     let time = times[(k * n + j) * n + i];
-                    // The scheme of first order overestimates by about 1.1 voxels at most at this distance.
-                    assert!(time >= far - 1e-4 && time <= far + 1.4, "{time} {far}");
+                    // The scheme of first order overestimates most along the diagonal: 1.45 voxels at the corners.
+                    assert!(time >= far - 1e-4 && time <= far + 1.46, "{time} {far}");
                 }
             }
         }
