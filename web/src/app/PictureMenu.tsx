@@ -2,35 +2,36 @@
 
 import { Button, Dialog, DialogTrigger, Popover } from "react-aria-components";
 import { keyOf } from "../input/keymap";
-import { markProblem, type PictureChoice } from "../state/saved-picture";
+import { markProblem, type PictureChoice, pictureName } from "../state/saved-picture";
 import type { ViewName } from "../wire/messages";
-import { VIEWS } from "../wire/views";
+import { LEAD_VIEW } from "../wire/views";
 import { useApp, useStation } from "./context";
-import { Act, Choice, SwitchKey, Tip } from "./controls";
+import { Act, Choice, SwitchKey, Tip, useKeysBack } from "./controls";
 import { Icon } from "./icons";
 
 /** Render the button that opens the menu; nothing in a window that only watches. */
 export function PictureMenu({ view }: { view: ViewName }) {
   const watches = useApp((state) => state.watches);
   const shown = useApp((state) => state.frames[view] !== undefined);
+  const keysBack = useKeysBack();
   if (watches) return null;
-  const words = shown ? "Save or copy a picture of this view" : "Nothing to save: this view has no picture yet";
+  const name = pictureName(view);
+  const words = shown ? `Save or copy a picture of the ${name}` : `Nothing to save: the ${name} has no picture yet`;
   return (
-    <DialogTrigger>
-      <Tip words={words} keys={keyOf("save_picture")}>
+    <DialogTrigger onOpenChange={keysBack.onOpenChange}>
+      <Tip words={words} keys={view === LEAD_VIEW ? keyOf("save_picture") : ""}>
         <Button
           className="button icon"
-          aria-label={`${words}: ${VIEWS[view].words}`}
+          aria-label={words}
           isDisabled={!shown}
+          onPressStart={keysBack.onPressStart}
           data-testid={`picture-menu-${view}`}
         >
           <Icon name="picture" />
         </Button>
       </Tip>
       <Popover className="popover picture-menu" placement="bottom end" offset={4}>
-        <Dialog aria-label={`Picture of the ${VIEWS[view].words}`}>
-          {({ close }) => <Choices view={view} close={close} />}
-        </Dialog>
+        <Dialog aria-label={`Picture of the ${name}`}>{({ close }) => <Choices view={view} close={close} />}</Dialog>
       </Popover>
     </DialogTrigger>
   );
@@ -78,12 +79,12 @@ function Choices({ view, close }: { view: ViewName; close: () => void }) {
           onChange={() => change({ names: !choice.names })}
         />
       </div>
+      <p className="quiet">Without outlines, targets and marks</p>
       <div className="row">
         <Act
           kind="primary"
           label="Save picture"
           words="Save as PNG. The file contains no patient name."
-          keys={keyOf("save_picture")}
           testId="picture-save"
           onPress={() => {
             void station.pictures.save(view);

@@ -1,9 +1,9 @@
 /** Pictures of views as files: saved by the browser's download, or copied to the clipboard. */
 
-import { DownloadError, fetchForks, fetchPicture } from "../net/download";
-import { pictureQuery } from "../state/saved-picture";
+import { fetchForks, fetchPicture } from "../net/download";
+import { pictureName, pictureQuery, viewToSave } from "../state/saved-picture";
 import type { ViewName } from "../wire/messages";
-import { LEAD_VIEW, VIEWS } from "../wire/views";
+import { downloadMessage } from "./download-message";
 import type { Station } from "./station";
 import { saveAs } from "./station-parts";
 
@@ -11,8 +11,6 @@ import { saveAs } from "./station-parts";
 const WITHIN_MS = 120_000;
 /** Timeout of the contact sheet, ms; its job shows the progress and can be cancelled. */
 const FORKS_WITHIN_MS = 1_800_000;
-/** Code of the error of a contact sheet that the user has cancelled. */
-const CANCELLED = "plan.sheet-stopped";
 
 interface NamedBlob {
   name: string;
@@ -31,8 +29,8 @@ export class PictureFiles {
   async save(view: ViewName): Promise<void> {
     const made = this.#request(view);
     if (made === null) return;
-    await this.#reporting(async () => {
-      const { name, blob } = await made;
+    await this.#reporting("The picture", async () => {
+      const { name, blob } = await this.#announced("Saving the picture\u2026", made);
       saveAs(name, blob);
     });
   }
@@ -41,8 +39,9 @@ export class PictureFiles {
   async copy(view: ViewName): Promise<void> {
     const made = this.#request(view);
     if (made === null) return;
-    await this.#reporting(async () => {
-      if (await copied(made.then(({ blob }) => blob))) {
+    await this.#reporting("The picture", async () => {
+      const png = () => made.then(({ blob }) => blob);
+      if (await this.#announced("Copying the picture\u2026", copied(png))) {
         this.#station.notice("Picture copied.");
         return;
       }
@@ -56,43 +55,48 @@ export class PictureFiles {
   async saveForks(): Promise<void> {
     if (this.#station.state.ui.makingForks) return;
     this.#station.ui({ makingForks: true });
-    await this.#reporting(async () => {
+    await this.#reporting("The picture of the forks", async () => {
       const { name, blob } = await fetchForks(AbortSignal.timeout(FORKS_WITHIN_MS));
       saveAs(name, blob);
     });
     this.#station.ui({ makingForks: false });
   }
 
-  /** Save a picture of the focused view, or of the airway view if no view has the focus. */
+  /** Save a picture of the focused view, else of the view in full view, else of the airway view. */
   saveFocused(): void {
-    void this.save(focusedView(this.#station) ?? LEAD_VIEW);
+    void this.save(viewToSave(focusedView(this.#station), this.#station.state.ui));
   }
 
   #request(view: ViewName): Promise<NamedBlob> | null {
     const { state, wall } = this.#station;
     const size = state.frames[view] === undefined ? null : (wall.find(view)?.screenPixels ?? null);
     if (size === null) {
-      this.#station.notice(`There is no picture of the ${VIEWS[view].words} to save yet.`);
+      this.#station.notice(`There is no picture of the ${pictureName(view)} to save yet.`);
       return null;
     }
     return fetchPicture(view, pictureQuery(state.window, size, state.ui.picture), AbortSignal.timeout(WITHIN_MS));
   }
 
-  async #reporting(work: () => Promise<void>): Promise<void> {
+  /** Show a notice until a promise is settled, and return its value. */
+  async #announced<T>(words: string, made: Promise<T>): Promise<T> {
+    const id = this.#station.state.nextMessageId;
+    this.#station.notice(words);
+    try {
+      return await made;
+    } finally {
+      this.#station.store.dispatch({ kind: "dismiss", id });
+    }
+  }
+
+  async #reporting(subject: string, work: () => Promise<void>): Promise<void> {
+    const before = this.#station.state.cancelledJobs.length;
     try {
       await work();
     } catch (error) {
-      const known = error instanceof DownloadError;
-      if (known && error.code === CANCELLED) return;
-      this.#station.store.dispatch({
-        kind: "say",
-        message: {
-          kind: "error",
-          code: known ? error.code : "download.failed",
-          message: known ? error.message : "The picture could not be downloaded from Carina.",
-          action: known ? null : "Check that Carina is still running.",
-        },
-      });
+      // The response contains no job ID, so any job that this window has cancelled meanwhile counts.
+      const isCancelledHere = this.#station.state.cancelledJobs.length > before;
+      const message = downloadMessage(error, subject, isCancelledHere);
+      if (message !== null) this.#station.store.dispatch({ kind: "say", message });
     }
   }
 }
@@ -102,12 +106,15 @@ function focusedView({ wall }: Station): ViewName | null {
   return wall.focused()?.view ?? null;
 }
 
-/** Copy a PNG to the clipboard; return false if the browser does not allow it. */
-async function copied(png: Promise<Blob>): Promise<boolean> {
+/**
+ * Copy a PNG to the clipboard; return false if the browser does not allow it. Without a clipboard the function `png` is
+ * not called, because a promise that nothing awaits would report its rejection as unhandled.
+ */
+async function copied(png: () => Promise<Blob>): Promise<boolean> {
   if (typeof ClipboardItem === "undefined" || navigator.clipboard?.write === undefined) return false;
   try {
     // The item receives the promise, because the browser allows access only at once after the user's click.
-    await navigator.clipboard.write([new ClipboardItem({ "image/png": png })]);
+    await navigator.clipboard.write([new ClipboardItem({ "image/png": png() })]);
     return true;
   } catch {
     // A failed request is reported by the caller, which awaits the same promise.

@@ -525,7 +525,7 @@ const PAGE: readonly Binding[] = [
     key: "p",
     shift: true,
     label: "Shift+P",
-    words: "Save a picture of the focused view, or of the airway view",
+    words: "Save a picture of the focused view, else of the full view or the airway view",
     group: "Views",
     command: press("save_picture"),
   },

@@ -1,7 +1,8 @@
 /** Choices for pictures that the user saves or copies: size and marks. */
 
 import type { ViewName } from "../wire/messages";
-import { VIEWS } from "../wire/views";
+import { type CellName, LEAD_VIEW, VIEWS } from "../wire/views";
+import type { ShownViews } from "./view-table";
 
 /** Size and marks of a saved picture. */
 export interface PictureChoice {
@@ -24,9 +25,24 @@ export interface ScreenSize {
 
 /** Return the reason why a view's picture cannot show a mark, as text for the user; null if the picture can. */
 export function markProblem(view: ViewName, mark: "scaleBar" | "names"): string | null {
-  const { scaled, named } = VIEWS[view];
+  const { scaled, named, cell } = VIEWS[view];
   if (mark === "scaleBar") return scaled ? null : "A view in perspective has no single scale.";
-  return named ? null : "This view shows no single branches.";
+  if (named) return null;
+  return cell === "xray" ? "An X-ray superimposes the branches." : "This view shows no single branches.";
+}
+
+/** Return the name of a view in a sentence about its picture: "axial slice", "X-ray (AP)". */
+export function pictureName(view: ViewName): string {
+  const { title, short, words } = VIEWS[view];
+  return short === "" ? words : `${title} (${short})`;
+}
+
+/** Return the view that the key saves: the focused view, else the view in full view, else the airway view. */
+export function viewToSave(
+  focused: ViewName | null,
+  { full, shown }: { readonly full: CellName | null; readonly shown: ShownViews },
+): ViewName {
+  return focused ?? (full === null ? LEAD_VIEW : shown[full]);
 }
 
 /** Return the query of the request for a picture. */
