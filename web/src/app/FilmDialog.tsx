@@ -119,7 +119,7 @@ function Options({ flight }: { flight: FilmFlight }) {
           {`${noVideo.charAt(0).toUpperCase()}${noVideo.slice(1)}`}
         </p>
       )}
-      <p className="quiet">The file contains no patient name. Not a medical device.</p>
+      <p className="quiet">The file contains no patient name. Carina is not a medical device.</p>
       <div className="dialog-actions">
         <Act
           kind="primary"

@@ -88,7 +88,7 @@ function FlightRow({ flight, first, last, open, onOpen }: RowProps) {
             {isRecording ? "recording" : clock(flight.length_s)} {when === "" ? "" : `\u00b7 ${when}`}
           </span>
         </span>
-        <Tip words={open ? "Close" : "Rename, describe, move, download or delete this flight"}>
+        <Tip words={open ? "Close" : "Rename, describe, move, download, save as video or delete this flight"}>
           <Button
             className="button icon quiet"
             aria-label={`Change ${flight.name}`}
