@@ -14,8 +14,13 @@ def test_ruler_marks_every_place_where_a_path_by_walls_crosses_the_lumens_wall(s
     workstation.wait_ready()
     page = workstation.page
     page.get_by_role("button", name="Target", exact=True).click()
+    details = page.get_by_test_id("target-details").locator("summary")
+    details.click()
     page.get_by_role("radio", name="Walls").click()
     page.keyboard.press("Escape")
+    # With closed details the panel still states the selected path search.
+    details.click()
+    expect(page.get_by_test_id("path-search-cost")).to_contain_text("Path search: Walls")
     root = workstation.state("session.root_lps")
     beside = [root[0] + 30.0, root[1], root[2] - 60.0]
     show_slices_at(workstation, beside)
@@ -32,7 +37,12 @@ def test_ruler_marks_every_place_where_a_path_by_walls_crosses_the_lumens_wall(s
     for number, along in enumerate(crossings):
         box = marks.nth(number).bounding_box()
         assert box["x"] + box["width"] / 2 - track["x"] == pytest.approx(along / length * track["width"], abs=1.5)
-        assert f" {along:.1f}" in marks.nth(number).get_attribute("title")
+        # The mark has the origin of the ruler, not the start of the path.
+        title = marks.nth(number).get_attribute("title")
+        assert title.startswith("Crosses the airway wall, ")
+        assert title.endswith(("the main carina", "from the start of the airway tree", "from the start of the route"))
+    times = "once" if len(crossings) == 1 else f"{len(crossings)} times"
+    expect(page.get_by_label(f"the path crosses the airway wall {times}").first).to_be_attached()
     expect(page.get_by_test_id("target-words")).to_contain_text("crosses the wall")
     workstation.picture("wall-crossings")
     assert workstation.faults == []

@@ -6,7 +6,7 @@ import { keyOf, keyOfHold } from "../input/keymap";
 import { pathMm, tipLps } from "../state/app-state";
 import { kindText } from "../state/branch-text";
 import { fixed, mm } from "../state/format";
-import { crossingsOf } from "../state/path-search";
+import { crossingsOf, crossingText, sliderLabel } from "../state/path-search";
 import { nearestMm, originText, pastMm, pathAtMm, scaleMm, sideText } from "../state/route";
 import { AUTO_SPEEDS_MM_S } from "../state/speed";
 import type { RouteInfo } from "../wire/messages";
@@ -200,7 +200,7 @@ function RulerSlider({ route }: { route: RouteInfo }) {
   return (
     <Slider
       className={at === null ? "path-slider off" : "path-slider"}
-      aria-label={`Position on the route in mm from ${originText(route)}`}
+      aria-label={sliderLabel(route, crossings.length)}
       minValue={pastMm(route, 0)}
       maxValue={pastMm(route, length)}
       step={0.1}
@@ -227,7 +227,7 @@ function RulerSlider({ route }: { route: RouteInfo }) {
             key={along}
             className="wall-crossing"
             data-testid="wall-crossing"
-            title={`The path crosses the wall of the airway here, ${mm(along)} from the start.`}
+            title={crossingText(route, along)}
             style={{ left: percent(along) }}
           />
         ))}

@@ -1,6 +1,16 @@
 import { describe, expect, it } from "vitest";
 import type { Target } from "../wire/messages";
-import { crossingsOf, isSamePen, pathText, penMessage, startOf, targetMessage } from "./path-search";
+import {
+  crossingsOf,
+  crossingText,
+  isSamePen,
+  offeredCosts,
+  pathText,
+  penMessage,
+  sliderLabel,
+  startOf,
+  targetMessage,
+} from "./path-search";
 
 const TARGET: Target = {
   target_id: "target-1",
@@ -32,6 +42,32 @@ describe("crossingsOf", () => {
     expect(crossingsOf("target-1", targets)).toBe(crossings_mm);
     expect(crossingsOf("target-2", targets)).toEqual([]);
     expect(crossingsOf(null, targets)).toBe(crossingsOf("target-9", []));
+  });
+});
+
+describe("texts of the ruler", () => {
+  const route = {
+    origin: { kind: "carina", along_mm: 100 },
+    lumen_known: true,
+    cumulative_mm: [0, 200],
+    centreline_mm: [0, 200],
+  } as unknown as Parameters<typeof sliderLabel>[0];
+
+  it("The mark of a crossing has the origin of the ruler.", () => {
+    expect(crossingText(route, 142)).toBe("Crosses the airway wall, 42\u202fmm past the main carina");
+  });
+
+  it("The label of the slider states the number of crossings.", () => {
+    expect(sliderLabel(route, 0)).toBe("Position on the route in mm from the main carina");
+    expect(sliderLabel(route, 1)).toMatch(/; the path crosses the airway wall once$/);
+    expect(sliderLabel(route, 3)).toMatch(/3 times$/);
+  });
+});
+
+describe("offeredCosts", () => {
+  it("The selected cost function is always offered.", () => {
+    expect(offeredCosts("lumen")).toEqual(["lumen", "walls"]);
+    expect(offeredCosts("paper")).toEqual(["lumen", "walls", "paper"]);
   });
 });
 

@@ -3,7 +3,7 @@
 import type { AddTargetMessage, ArmPenMessage, StateMessage, Target } from "../wire/messages";
 import { mm } from "./format";
 import { marksByPen } from "./pen";
-import { endText } from "./route";
+import { endText, originText, placeText, type WithOrigin } from "./route";
 import type { Armed } from "./tools";
 import { asVec3, type Vec3 } from "./vec";
 
@@ -23,6 +23,14 @@ export const COST_TEXTS: Readonly<Record<PathCost, { readonly label: string; rea
       "Search the whole scan with the formula of section 6.2 as printed. Walls are cheap in it: the path follows edges.",
   },
 };
+
+const USUAL_COSTS: readonly PathCost[] = ["lumen", "walls"];
+/** All cost functions, in display order. */
+export const ALL_COSTS: readonly PathCost[] = [...USUAL_COSTS, "paper"];
+
+/** Return the cost functions that a scan without airways offers: the usual ones, and the selected one. */
+export const offeredCosts = (selected: PathCost): readonly PathCost[] =>
+  ALL_COSTS.filter((cost) => cost === selected || USUAL_COSTS.includes(cost));
 
 interface Search {
   readonly pathCost: PathCost;
@@ -77,6 +85,19 @@ export function crossingsOf(
   return targets.find((target) => target.target_id === targetId)?.crossings_mm ?? NO_CROSSINGS;
 }
 
+/** Return a number of crossings as text. */
+const timesText = (count: number): string => (count === 1 ? "once" : `${count} times`);
+
+/** Return the text of the mark where a path crosses the wall, with the origin of the ruler. */
+export const crossingText = (route: WithOrigin, along: number): string =>
+  `Crosses the airway wall, ${placeText(route, along)}`;
+
+/** Return the label of the ruler's slider, which states how often the path crosses the wall. */
+export function sliderLabel(route: WithOrigin, numCrossings: number): string {
+  const label = `Position on the route in mm from ${originText(route)}`;
+  return numCrossings === 0 ? label : `${label}; the path crosses the airway wall ${timesText(numCrossings)}`;
+}
+
 /** Largest number of crossings in a text; the ruler of the route marks all of them. */
 const MAX_CROSSINGS = 6;
 
@@ -84,8 +105,7 @@ const MAX_CROSSINGS = 6;
 function crossingsText(crossings: readonly number[]): string {
   const listed = crossings.slice(0, MAX_CROSSINGS).map((along) => mm(along, 0));
   const more = crossings.length > MAX_CROSSINGS ? ", ..." : "";
-  const times = crossings.length === 1 ? "once" : `${crossings.length} times`;
-  return `crosses the wall ${times}, at ${listed.join(", ")}${more} from the start`;
+  return `crosses the wall ${timesText(crossings.length)}, at ${listed.join(", ")}${more} from the start`;
 }
 
 /** Return the facts about a target's path as text. */

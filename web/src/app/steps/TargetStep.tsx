@@ -3,7 +3,7 @@ import { Button, FieldError, FileTrigger, Form, Input, Label, TextField } from "
 import { keyOf } from "../../input/keymap";
 import { filesOfPicker } from "../../net/upload";
 import { coordinates, parseCoordinates, sentence } from "../../state/format";
-import { COST_TEXTS, type PathCost, pathText, startOf } from "../../state/path-search";
+import { ALL_COSTS, COST_TEXTS, offeredCosts, type PathCost, pathText, startOf } from "../../state/path-search";
 import { isMarkAt, marksStructure } from "../../state/target-mark";
 import { asVec3, type Vec3 } from "../../state/vec";
 import type { Target } from "../../wire/messages";
@@ -22,10 +22,11 @@ export function TargetStep() {
   const targets = useApp((state) => state.session?.targets ?? null);
   const armed = useApp((state) => state.ui.armed === "target");
   const found = useApp((state) => state.session?.airways === "found");
+  const cost = useApp((state) => state.ui.pathCost);
   const reach = useReachOf();
   return (
     <>
-      {found ? null : <PathSearch costs={USUAL_COSTS} />}
+      {found ? null : <PathSearch costs={offeredCosts(cost)} />}
       <Act
         kind="primary"
         icon="target"
@@ -35,6 +36,11 @@ export function TargetStep() {
         testId="arm-target"
         onPress={() => station.act("arm_target")}
       />
+      {found && cost !== "lumen" ? (
+        <p className="quiet" data-testid="path-search-cost">
+          Path search: {COST_TEXTS[cost].label} (see Details)
+        </p>
+      ) : null}
       <PenText />
       <MarkText />
       {targets === null || targets.length === 0 ? (
@@ -86,9 +92,6 @@ function MarkText() {
     </p>
   );
 }
-
-const USUAL_COSTS: readonly PathCost[] = ["lumen", "walls"];
-const ALL_COSTS: readonly PathCost[] = [...USUAL_COSTS, "paper"];
 
 /**
  * Render the selection of the path search's cost function, and the start point for cost functions that need no airways.
