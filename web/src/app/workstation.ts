@@ -242,6 +242,7 @@ export class Workstation implements Station {
     }, SPEED_MS);
     this.#stream.open();
     this.devices.watchHeadset();
+    void this.films.resume();
     return () => {
       stopKeys();
       stopTouch();
