@@ -33,7 +33,8 @@ def test_enter_in_the_search_chooses_the_first_match_and_returns_the_keys_to_the
     # The row that Enter chooses is outlined.
     outlined = """() => [...document.querySelectorAll('.branch-tree .react-aria-TreeItem')]
         .filter((row) => getComputedStyle(row).outlineStyle === 'dashed')
-        .map((row) => window.__carina.state.tree.byId.get(Number(row.querySelector('[data-branch]').dataset.branch)).label)
+        .map((row) => Number(row.querySelector('[data-branch]').dataset.branch))
+        .map((id) => window.__carina.state.tree.byId.get(id).label)
     """
     assert page.evaluate(outlined) == ["LB3"]
     opened.picture("search-enter")
