@@ -52,6 +52,7 @@ GOOD: dict[str, list[str]] = {
     "phantom": ["-o", "made"],
     "plan": ["CT", "--target", POINT, "-o", "plan.html"],
     "render": ["CT", "-o", "picture.png"],
+    "score": ["flight.jsonl", "CT"],
     "track": ["CT", "--target", POINT],
 }
 """Valid arguments of each command, with which it begins its work."""

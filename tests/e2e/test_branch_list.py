@@ -30,6 +30,13 @@ def test_enter_in_the_search_chooses_the_first_match_and_returns_the_keys_to_the
     page.keyboard.press("/")
     field = page.locator(".branch-filter input")
     field.fill("LB3")
+    # The row that Enter chooses is outlined.
+    outlined = """() => [...document.querySelectorAll('.branch-tree .react-aria-TreeItem')]
+        .filter((row) => getComputedStyle(row).outlineStyle === 'dashed')
+        .map((row) => Number(row.querySelector('[data-branch]').dataset.branch))
+        .map((id) => window.__carina.state.tree.byId.get(id).label)
+    """
+    assert page.evaluate(outlined) == ["LB3"]
     opened.picture("search-enter")
     page.keyboard.press("Enter")
     opened.wait_for("window.__carina.state.session.can_undo === 'route to LB3'")

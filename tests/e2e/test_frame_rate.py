@@ -76,6 +76,23 @@ def test_airway_view_that_another_view_covers_raises_no_warning_in_the_status_ba
     assert workstation.faults == []
 
 
+def test_details_of_the_machine_closed_by_keyboard_return_the_focus_to_the_dot(server, workstation):
+    workstation.open(server)
+    workstation.wait_ready()
+    page = workstation.page
+    details = page.get_by_test_id("machine-details")
+    focused = "() => document.activeElement.dataset.testid"
+    page.get_by_test_id("machine").focus()
+    for key in ("Enter", "Escape"):
+        page.keyboard.press("Enter")
+        details.wait_for()
+        details.get_by_role("button", name="Close the details").focus()
+        page.keyboard.press(key)
+        details.wait_for(state="detached")
+        assert page.evaluate(focused) == "machine"
+    assert workstation.faults == []
+
+
 def test_requested_frame_rate_limits_the_pictures_per_second(server, workstation):
     workstation.open(server)
     workstation.wait_ready()

@@ -73,6 +73,8 @@ def test_header_of_each_view_saves_a_picture(opened, tmp_path, size):
     opened.picture(f"picture-menu-{size[0]}")
     marked = download(page, tmp_path, lambda: page.get_by_test_id("picture-save").click())
     assert marked.name == "axial.png"
+    # After a click the keys steer the flight again.
+    opened.wait_for("document.activeElement === document.body")
     box = page.locator("canvas[data-view=axial]").bounding_box()
     assert pixels(marked).shape[:2] == pytest.approx((box["height"], box["width"]), abs=1)
     assert read_png_pose(marked)["view"] == "axial"
@@ -87,6 +89,11 @@ def test_header_of_each_view_saves_a_picture(opened, tmp_path, size):
     page.locator(".picture-host:has(canvas[data-view=coronal])").focus()
     by_key = download(page, tmp_path, lambda: page.keyboard.press("Shift+P"))
     assert by_key.name == "coronal.png"
+    page.locator("[data-cell=axial] header").get_by_role("button", name="Full view").click()
+    opened.wait_for("window.__carina.state.ui.full === 'axial'")
+    opened.wait_for("window.__carina.state.frames.axial !== undefined")
+    of_full = download(page, tmp_path, lambda: page.keyboard.press("Shift+P"))
+    assert of_full.name == "axial.png"
 
 
 def test_picture_is_copied_or_saved_where_the_browser_blocks_the_clipboard(opened, tmp_path):
@@ -156,6 +163,24 @@ def test_forks_of_a_route_are_saved_as_one_picture(opened, tmp_path):
     assert width >= 384
     if os.environ.get("CARINA_PICTURES"):
         shutil.copy(sheet, OUT / "forks-sheet.png")
+
+
+def test_reload_of_the_page_does_not_lose_a_video(opened, tmp_path):
+    page = opened.page
+    root = page.evaluate(
+        "() => [...window.__carina.state.tree.byId.values()].find(({branch}) => branch.parent === null).branch.id"
+    )
+    opened.choose_branch(root)
+    opened.wait_for("window.__carina.state.route.forks_mm.length === 0")
+    page.keyboard.press("Shift+V")
+    page.get_by_role("radio", name="640 × 480").click()
+    assert page.get_by_role("button", name="Captions").get_attribute("aria-pressed") == "true"
+    page.get_by_test_id("film-save").click()
+    opened.wait_for("sessionStorage.getItem('carina.film') !== null")
+    film = download(page, tmp_path, page.reload)
+    assert film.name == "flight.mp4"
+    opened.wait_for("!window.__carina.state.ui.filming")
+    assert page.evaluate("() => sessionStorage.getItem('carina.film')") is None
 
 
 def test_cancelled_video_saves_no_file_and_another_can_be_saved(opened):

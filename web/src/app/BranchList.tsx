@@ -102,9 +102,10 @@ export function BranchList() {
     else station.chooseBranch(last);
     giveKeysBackAfterClick();
   };
+  /** Row that Enter chooses; null without one. */
+  const hit = filtered === null || forTool ? null : bestHit(tree, filtered, search);
   /** Choose the best match of the search, and return the keys to the flight. */
   const chooseHit = () => {
-    const hit = filtered === null || forTool ? null : bestHit(tree, filtered, search);
     if (hit === null) return;
     chooseRow(hit);
     if (document.activeElement instanceof HTMLElement) document.activeElement.blur();
@@ -117,7 +118,7 @@ export function BranchList() {
         <ListToolTag /> <span className="quiet numbers">{count}</span>
       </ListHead>
       <BranchSearch value={search} onChange={setSearch} onSubmit={chooseHit} />
-      <RowStyles tree={tree} />
+      <RowStyles tree={tree} hit={hit} />
       {filtered !== null && filtered.hits.length === 0 ? (
         <p className="empty">
           No branch matches. Try a segment (RB9), a lobe, a generation (g3), or {"\u201c?\u201d"} for uncertain names.
@@ -196,7 +197,7 @@ function BranchSearch({ value, onChange, onSubmit }: BranchSearchProps) {
     >
       <Icon name="search" />
       <Tip
-        words="Search: name, lobe, g3 = generation 3, ? = uncertain. Enter chooses the first match."
+        words="Search: name, lobe, g3 = generation 3, ? = uncertain. Enter chooses the exact name, else the first match."
         keys={keyOf("find_branch")}
       >
         <Input placeholder="Search, e.g. RB1 or g3" spellCheck="false" autoComplete="off" />
@@ -211,10 +212,10 @@ function BranchSearch({ value, onChange, onSubmit }: BranchSearchProps) {
 }
 
 /**
- * Render style rules that highlight the branches of the tip, the cursor and the panel; without them hundreds of rows
+ * Render style rules that highlight the branches of the tip, the cursor, the panel and the search; without them hundreds of rows
  * would render again.
  */
-function RowStyles({ tree }: { tree: BranchTree }) {
+function RowStyles({ tree, hit }: { tree: BranchTree; hit: number | null }) {
   const here = useApp((state) => rowOf(tree, state.pose?.branch_id ?? null));
   const pointed = useApp((state) => state.ui.hovered?.branchId ?? null);
   const hovered = rowOf(tree, pointed);
@@ -235,6 +236,11 @@ function RowStyles({ tree }: { tree: BranchTree }) {
   if (selected !== null) {
     rules.push(
       `.branch-tree .react-aria-TreeItem:has([data-branch="${selected}"]) { box-shadow: inset 2px 0 var(--accent); }`,
+    );
+  }
+  if (hit !== null) {
+    rules.push(
+      `.branch-tree .react-aria-TreeItem:has([data-branch="${hit}"]) { outline: 1px dashed var(--accent); outline-offset: -1px; }`,
     );
   }
   return rules.length === 0 ? null : <style>{rules.join("\n")}</style>;

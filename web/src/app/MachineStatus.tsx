@@ -3,7 +3,7 @@
  * frame rate, latency, resolution, method and processor.
  */
 
-import { memo, useState } from "react";
+import { memo, useRef, useState } from "react";
 import { Button, ListBox, ListBoxItem, Popover, Select, SelectValue } from "react-aria-components";
 import { isLeadShown } from "../state/app-state";
 import { clusterText, needsLook } from "../state/cluster-text";
@@ -17,6 +17,18 @@ import { Act, giveKeysBack, Tip, useKeysBack } from "./controls";
 /** Render the dot, the text about a problem, and the details if they are open. */
 export function MachineStatus() {
   const [open, setOpen] = useState(false);
+  const dot = useRef<HTMLButtonElement>(null);
+  /** Close the details, and return the focus of the keyboard from the details to the dot. */
+  const close = () => {
+    if (document.activeElement?.closest(".machine-details") != null) dot.current?.focus();
+    setOpen(false);
+  };
+  /** Close the details by Escape, which has no other effect then. */
+  const closeByKey = (event: { key: string; stopPropagation: () => void }) => {
+    if (event.key !== "Escape") return;
+    event.stopPropagation();
+    close();
+  };
   const trouble = useApp(machineTrouble);
   const connected = useApp((state) => state.connection.status === "open");
   const state = !connected ? "lost" : trouble === null ? "well" : "slow";
@@ -25,6 +37,7 @@ export function MachineStatus() {
     <>
       <Tip words={`${words}. Show or hide frame rate, latency and method.`}>
         <Button
+          ref={dot}
           className="machine-dot"
           aria-label={`Details of the machine: ${words}`}
           aria-expanded={open}
@@ -33,6 +46,11 @@ export function MachineStatus() {
           onPress={(event) => {
             giveKeysBack(event.pointerType);
             setOpen(!open);
+          }}
+          onKeyDown={(event) => {
+            // Without open details Escape keeps its effect on the page.
+            if (open) closeByKey(event);
+            else event.continuePropagation();
           }}
         >
           <span aria-hidden="true" />
@@ -43,13 +61,18 @@ export function MachineStatus() {
           {trouble}
         </span>
       )}
-      {open ? <MachineDetails onClose={() => setOpen(false)} /> : null}
+      {open ? <MachineDetails onClose={close} onKeyDown={closeByKey} /> : null}
     </>
   );
 }
 
+interface DetailsProps {
+  onClose: () => void;
+  onKeyDown: (event: { key: string; stopPropagation: () => void }) => void;
+}
+
 /** Render the figures. The panel takes no focus, so that the figures can be read while flying. */
-function MachineDetails({ onClose }: { onClose: () => void }) {
+function MachineDetails({ onClose, onKeyDown }: DetailsProps) {
   const { fps, ageMs } = useApp((state) => state.pace);
   const status = useApp((state) => state.status);
   const cluster = useApp((state) => state.cluster);
@@ -63,7 +86,12 @@ function MachineDetails({ onClose }: { onClose: () => void }) {
         : [["Processor", `${plural(status.threads, "core")}, ${simdText(status.simd)}`] as const]),
   ];
   return (
-    <section className="machine-details numbers" aria-label="Details of the machine" data-testid="machine-details">
+    <section
+      className="machine-details numbers"
+      aria-label="Details of the machine"
+      data-testid="machine-details"
+      onKeyDown={onKeyDown}
+    >
       <header>
         <h2>Details</h2>
         <Act kind="icon" icon="close" words="Close the details" onPress={onClose} />

@@ -88,6 +88,8 @@ export function Act({ words, keys, icon, label, kind = "plain", disabled = false
 
 interface SwitchProps {
   words: string;
+  /** Name for screen readers, if the label states only the state of the switch. */
+  name?: string;
   keys?: string;
   icon?: IconName;
   label?: string;
@@ -98,12 +100,12 @@ interface SwitchProps {
 }
 
 /** Render a toggle button with a tooltip. */
-export function SwitchKey({ words, keys, icon, label, on, disabled = false, testId, onChange }: SwitchProps) {
+export function SwitchKey({ words, name, keys, icon, label, on, disabled = false, testId, onChange }: SwitchProps) {
   return (
     <Tip words={words} keys={keys}>
       <ToggleButton
         className={label === undefined ? "button icon toggle" : "button toggle"}
-        aria-label={label === undefined ? words : undefined}
+        aria-label={name ?? (label === undefined ? words : undefined)}
         isSelected={on}
         isDisabled={disabled}
         data-testid={testId}

@@ -4,7 +4,7 @@
  */
 
 import type { Action } from "../input/keymap";
-import type { Flight } from "../input/steering";
+import type { Steering } from "../input/steering";
 import type { AppState, Ui } from "../state/app-state";
 import type { Store } from "../state/store";
 import type { Vec3 } from "../state/vec";
@@ -23,7 +23,7 @@ export interface Station {
   ui(change: Partial<Ui>): void;
   notice(message: string): void;
   readonly wall: Wall;
-  readonly flight: Flight;
+  readonly flight: Steering;
   act(action: Action): void;
   chooseBranch(branchId: number): void;
   /** Add a target at a point, with the selected cost function of the path search. */

@@ -6,7 +6,7 @@
 import { KeyPlayer, keyFrameHooks } from "../input/key-player";
 import { listenToKeys } from "../input/keyboard";
 import { type Action, WINDOWS } from "../input/keymap";
-import { Flight } from "../input/steering";
+import { Steering } from "../input/steering";
 import { WATCHERS_ACTIONS } from "../input/watchers-actions";
 import { DownloadError, fetchAirways, fetchFlight, fetchKeyFrames, fetchPlan, planAddress } from "../net/download";
 import { PictureBoard } from "../net/pictures";
@@ -76,7 +76,7 @@ const SPEED_MS = 250;
 export class Workstation implements Station {
   readonly store = new Store(INITIAL_STATE, atNextRefresh);
   readonly wall: Wall;
-  readonly flight: Flight;
+  readonly flight: Steering;
   readonly player: KeyPlayer;
   /** Player of recorded flights. */
   readonly replayer: KeyPlayer;
@@ -135,7 +135,7 @@ export class Workstation implements Station {
       isSeen: () => !document.hidden || this.state.ui.headset === "inside",
       nextRefresh: (task) => void requestAnimationFrame(task),
     });
-    this.flight = new Flight({
+    this.flight = new Steering({
       route: () => this.state.route,
       pathMm: () => pathMm(this.state),
       speedMmS: () => this.state.ui.autoSpeedMmS,
@@ -242,6 +242,7 @@ export class Workstation implements Station {
     }, SPEED_MS);
     this.#stream.open();
     this.devices.watchHeadset();
+    void this.films.resume();
     return () => {
       stopKeys();
       stopTouch();

@@ -383,7 +383,7 @@ const PAGE: readonly Binding[] = [
     place: "page",
     key: "/",
     label: "/",
-    words: "Search the list of branches; Enter chooses the first match",
+    words: "Search the list of branches; Enter chooses the exact name, else the first match",
     group: "Airways",
     command: press("find_branch"),
   },

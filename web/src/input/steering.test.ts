@@ -1,7 +1,7 @@
 import { describe, expect, it } from "vitest";
 import { AUTO_SPEED_MM_S } from "../state/speed";
 import type { ClientMessage, RouteInfo } from "../wire/messages";
-import { Flight, SLOW, SPEED_MM_S } from "./steering";
+import { SLOW, SPEED_MM_S, Steering } from "./steering";
 
 const ROUTE: RouteInfo = {
   route_id: "r",
@@ -32,7 +32,7 @@ function flight(route: RouteInfo | null = ROUTE) {
   const sent: ClientMessage[] = [];
   const auto: boolean[] = [];
   const environment = { at: 10 as number | null, speed: AUTO_SPEED_MM_S };
-  const made = new Flight({
+  const made = new Steering({
     route: () => route,
     pathMm: () => environment.at,
     speedMmS: () => environment.speed,
@@ -45,7 +45,7 @@ function flight(route: RouteInfo | null = ROUTE) {
   return { made, sent, auto, environment };
 }
 
-describe("Flight", () => {
+describe("Steering", () => {
   it("isMoving is true while a key is held or movement waits to be sent, and false at rest.", () => {
     const { made } = flight();
     expect(made.isMoving).toBe(false);

@@ -21,8 +21,8 @@ export const WHEEL_MM_PER_PX = 0.03;
  */
 export const MAX_TICK_S = 0.1;
 
-/** Page functions that {@link Flight} uses; tests supply fakes. */
-export interface FlightHooks {
+/** Page functions that {@link Steering} uses; tests supply fakes. */
+export interface SteeringHooks {
   route(): RouteInfo | null;
   pathMm(): number | null;
   /** Return the speed of the automatic flight, mm/s. */
@@ -33,8 +33,8 @@ export interface FlightHooks {
 }
 
 /** Steering of the tip by keys and mouse. */
-export class Flight {
-  readonly #hooks: FlightHooks;
+export class Steering {
+  readonly #hooks: SteeringHooks;
   readonly #held: Record<HoldAxis, Set<1 | -1>> = {
     advance: new Set(),
     roll: new Set(),
@@ -45,7 +45,7 @@ export class Flight {
   #pending = { advance_mm: 0, yaw_rad: 0, pitch_rad: 0, roll_rad: 0 };
   #auto: { atMm: number; stopMm: number } | null = null;
 
-  constructor(hooks: FlightHooks) {
+  constructor(hooks: SteeringHooks) {
     this.#hooks = hooks;
   }
 

@@ -3,7 +3,7 @@
 import "./phone.css";
 import { Link } from "./link";
 import { penOrientation } from "./orientation";
-import { Hand, type Held } from "./phone-input";
+import { type Held, PhoneInput } from "./phone-input";
 import { NO_SENSOR, SENSOR_REFUSED, SENSOR_WITHIN_MS, stateText } from "./texts";
 
 function element<T extends HTMLElement>(id: string): T {
@@ -43,7 +43,7 @@ const link = new Link(
     return () => clearTimeout(timer);
   },
 );
-const hand = new Hand(link.send);
+const hand = new PhoneInput(link.send);
 const holders: [HTMLElement, Held][] = [
   [element("turn"), "turn"],
   [element("forward"), "forward"],

@@ -1,16 +1,16 @@
 import { beforeEach, describe, expect, it } from "vitest";
 import type { PhoneMessage } from "../wire/messages";
 import { checkPhoneMessage } from "../wire/parse";
-import { Hand } from "./phone-input";
+import { PhoneInput } from "./phone-input";
 
 let sent: PhoneMessage[];
 let open: boolean;
-let hand: Hand;
+let hand: PhoneInput;
 
 beforeEach(() => {
   sent = [];
   open = true;
-  hand = new Hand((message) => {
+  hand = new PhoneInput((message) => {
     if (!open) return false;
     checkPhoneMessage(JSON.stringify(message));
     sent.push(message);
@@ -18,7 +18,7 @@ beforeEach(() => {
   });
 });
 
-describe("Hand", () => {
+describe("PhoneInput", () => {
   it("A turn of the phone sends nothing while no button is held.", () => {
     for (let n = 0; n < 100; n += 1) {
       hand.turned([Math.cos(n), Math.sin(n), 0, 0]);

@@ -17,7 +17,7 @@ export type Held = "turn" | "forward" | "back";
  * State of the held buttons and of the phone's orientation. The object has no clock: the caller passes the time, and
  * `send` receives the messages.
  */
-export class Hand {
+export class PhoneInput {
   readonly #send: (message: PhoneMessage) => boolean;
   readonly #held = new Set<Held>();
   #orientation: Wxyz | null = null;

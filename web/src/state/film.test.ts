@@ -1,7 +1,7 @@
 import { describe, expect, it } from "vitest";
 import type { FlightInfo, RouteInfo } from "../wire/messages";
 import { INITIAL_STATE } from "./app-state";
-import { FIRST_FILM, filmName, filmProblem, filmQuery } from "./film";
+import { FIRST_FILM, filmName, filmProblem, filmQuery, startedFilm } from "./film";
 
 const session = { case: {} } as unknown as NonNullable<typeof INITIAL_STATE.session>;
 const open = { ...INITIAL_STATE, session };
@@ -25,6 +25,11 @@ describe("videos", () => {
   it("A recording that is not complete has no video.", () => {
     const flights = [{ number: 1, state: "recording", length_s: 4 }] as unknown as FlightInfo[];
     expect(filmProblem({ ...open, flights }, { kind: "recording", number: 1 })).toMatch(/Stop the recording/);
+  });
+
+  it("A stored video is read, and an invalid text is ignored.", () => {
+    expect(startedFilm('{"jobId":"job-3","name":"flight.mp4"}')).toEqual({ jobId: "job-3", name: "flight.mp4" });
+    expect(["{", "null", "3", '{"jobId":3}', null].map(startedFilm)).toEqual([null, null, null, null, null]);
   });
 
   it("The query contains the speed of a route only, and the number of a recording only.", () => {

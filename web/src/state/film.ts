@@ -95,3 +95,14 @@ export function filmName(flight: FilmFlight, format: FilmChoice["format"]): stri
       return `recording-${flight.number}.${format}`;
   }
 }
+
+/** Return the job and file name of a video from the text that the tab has stored; null without a valid text. */
+export function startedFilm(text: string | null): { readonly jobId: string; readonly name: string } | null {
+  if (text === null) return null;
+  try {
+    const { jobId, name } = JSON.parse(text) as Record<string, unknown>;
+    return typeof jobId === "string" && typeof name === "string" ? { jobId, name } : null;
+  } catch {
+    return null;
+  }
+}

@@ -6,8 +6,8 @@ describe("saved pictures", () => {
   it("A view in perspective cannot show a scale bar, and an X-ray cannot show names; both state the reason.", () => {
     expect(markProblem("axial", "scaleBar")).toBeNull();
     expect(markProblem("tree", "scaleBar")).toMatch(/no single scale/);
-    expect(markProblem("xray-coronal", "names")).toMatch(/not show single branches/);
-    expect(markProblem("tri-plane", "names")).toMatch(/not show single branches/);
+    expect(markProblem("xray-coronal", "names")).toMatch(/superimposes/);
+    expect(markProblem("tri-plane", "names")).toMatch(/no single branches/);
     expect(markProblem("airway", "names")).toBeNull();
   });
 

@@ -25,10 +25,11 @@ export interface ScreenSize {
 
 /** Return the reason why a view's picture cannot show a mark, as text for the user; null if the picture can. */
 export function markProblem(view: ViewName, mark: "scaleBar" | "names"): string | null {
-  const { scaled, named } = VIEWS[view];
+  const { scaled, named, pick } = VIEWS[view];
   if (mark === "scaleBar") return scaled ? null : "A view in perspective has no single scale.";
   if (named) return null;
-  return "This view does not show single branches.";
+  // The tri-plane shows planes of the scan; the other views without names are X-rays.
+  return pick === "planes" ? "This view shows no single branches." : "An X-ray superimposes the branches.";
 }
 
 /** Return the name of a view in a sentence about its picture: "axial slice", "X-ray (AP)". */
