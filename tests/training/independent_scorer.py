@@ -19,6 +19,38 @@ from carina.track import AirwayTree
 ORDER = [f"RB{n}" for n in range(1, 11)] + ["LB1+2"] + [f"LB{n}" for n in (3, 4, 5, 6, 8, 9, 10)]
 
 
+def usual_spelling(name: str | None) -> str:
+    text = "".join((name or "").split())
+    if text[:2].upper() not in ("RB", "LB") or not text[2:3].isdigit():
+        return text
+    text = text[:2].upper() + text[2:].lower()
+    return "LB8" + text[5:] if text.startswith("LB7+8") else text
+
+
+def beginnings(tree: AirwayTree, name: str) -> list[Any]:
+    """Return the branch of a segment, or the highest branches of its parts, which arise separately."""
+
+    def highest(wanted: Any) -> list[Any]:
+        found, todo = [], [tree.root]
+        while todo:
+            one = todo.pop()
+            if wanted(usual_spelling(one.name)):
+                found.append(one)
+            else:
+                todo += [tree.branch(child) for child in one.children]
+        order = [one.id for one in tree.branches]
+        return sorted(found, key=lambda one: order.index(one.id))
+
+    whole = highest(lambda text: text == name)
+    if whole:
+        return whole[:1]
+    parts = highest(lambda text: text.startswith(name) and text[len(name) : len(name) + 1] in ("a", "b", "c", "d", "e"))
+    if parts or name != "LB1+2":
+        return parts
+    halves = [beginnings(tree, "LB1"), beginnings(tree, "LB2")]
+    return halves[0] + halves[1] if all(halves) else []
+
+
 class Disk:
     """Opening of a branch."""
 
@@ -85,22 +117,25 @@ class Judge:
         angle = np.degrees(np.arccos(np.clip(rays[:, 2], -1.0, 1.0)))
         kept = angle <= limit + 1e-6
         self.rays, self.pixels = rays[kept], np.array(pixels)[kept]
-        self.names, self.disks = [], []
+        self.names, self.disks, self.owners = [], [], []
+        """Segments of the case; their openings; and the segment of each opening."""
         for name in ORDER:
-            found = [one for one in tree.branches if one.name == name][:1]
+            found = beginnings(tree, name)
             if found:
                 self.names.append(name)
-                self.disks.append(Disk(tree, wall, found[0]))
+            for one in found:
+                self.owners.append(name)
+                self.disks.append(Disk(tree, wall, one))
 
-    def openings(self, pose: np.ndarray) -> dict[str, float]:
-        """Return the distance from the middle of the picture of each opening in sight."""
+    def openings(self, pose: np.ndarray) -> dict[int, float]:
+        """Return the distance from the middle of the picture of each opening in sight, by its number."""
         eye = pose[:3, 3]
         gap = float(self.wall.distance_mm(eye)[0])
         if (0.6 * self.tip_mm - gap) / (0.45 * self.tip_mm) >= 0.5:
             return {}
         found = {}
         rays = self.rays @ pose[:3, :3].T
-        for name, disk in zip(self.names, self.disks, strict=True):
+        for number, disk in enumerate(self.disks):
             towards = disk.mouth - eye
             if towards @ disk.into <= 0.0 or np.linalg.norm(towards) > 60.0:
                 continue
@@ -121,7 +156,7 @@ class Judge:
                 at_mm += 0.5
             if clear.sum() >= 0.01 * self.total and self.visible_area(disk, pose) >= 0.5:
                 middle = self.pixels[which[clear]].mean(axis=0) - 32.0
-                found[name] = math.hypot(*middle) / 32.0
+                found[number] = math.hypot(*middle) / 32.0
         return found
 
     def visible_area(self, disk: Disk, pose: np.ndarray) -> float:
@@ -146,16 +181,17 @@ class Judge:
             at_mm += 0.5
         return float(good.mean())
 
-    def segment_around(self, tip: np.ndarray, branch: Any) -> str:
-        """Return the segment in which the tip is, or an empty text."""
-        first_branches = {disk.branch: (name, disk) for name, disk in zip(self.names, self.disks, strict=True)}
+    def opening_passed(self, tip: np.ndarray, branch: Any) -> int:
+        """Return the number of the opening behind which the tip is, or -1."""
+        first_branches = {disk.branch: number for number, disk in enumerate(self.disks)}
         one = branch
         while one.id not in first_branches:
             if one.parent is None:
-                return ""
+                return -1
             one = self.tree.branch(one.parent)
-        name, disk = first_branches[one.id]
-        return "" if one.id == branch.id and (tip - disk.mouth) @ disk.into < 0.0 else name
+        number = first_branches[one.id]
+        disk = self.disks[number]
+        return -1 if one.id == branch.id and (tip - disk.mouth) @ disk.into < 0.0 else number
 
     def place(self, tip: np.ndarray) -> tuple[Any, float]:
         """Return the branch of a point, and the position along it, mm."""
@@ -205,11 +241,12 @@ def independent_score(text: str, tree: AirwayTree, wall: WallField) -> dict[str,
     moments = [(0.0, lines[0]["tip"]["lps_from_camera"])] + [(one["t"], one["pose"]) for one in lines if "pose" in one]
     length_s = max(one.get("t", one.get("end", 0.0)) for one in lines[1:])
     events: list[tuple[float, str, str]] = []
-    seen_for = dict.fromkeys(judge.names, 0)
+    seen_for = dict.fromkeys(range(len(judge.disks)), 0)
+    known: set[int] = set()
     seen: list[str] = []
     middle, middle_for = "", 0
     last_visit, stepped, again = "", set(), 0
-    clear_in, clear_for = "", 0
+    behind_last, behind_for = -1, 0
     away_for, entered = {}, set()
     touched_at, contacts = -100, 0
     tips, red, centred, num = [], 0, 0, 0
@@ -232,33 +269,38 @@ def independent_score(text: str, tree: AirwayTree, wall: WallField) -> dict[str,
             branch, along_mm = judge.place(pose[:3, 3])
             shown = (n, judge.openings(pose), branch, judge.lumen_is_in_middle(pose, branch, along_mm))
         in_sight, branch = shown[1], shown[2]
-        for name in judge.names:
-            seen_for[name] = seen_for[name] + 1 if name in in_sight else 0
-        within = judge.segment_around(pose[:3, 3], branch)
-        # The absence from a segment counts from the frame at which the last clear stay in it had lasted for 0.5 s.
-        for name, (now_away, longest) in away_for.items():
-            away = now_away + 1 if within != name else 0
-            away_for[name] = (away, max(longest, away))
+        for number in seen_for:
+            seen_for[number] = seen_for[number] + 1 if number in in_sight else 0
+        behind = judge.opening_passed(pose[:3, 3], branch)
+        # The absence counts from the frame at which the last clear stay behind the opening had lasted for 0.5 s.
+        for number, (now_away, longest) in away_for.items():
+            away = now_away + 1 if behind != number else 0
+            away_for[number] = (away, max(longest, away))
         lens_is_clear = (0.6 * judge.tip_mm - gap) / (0.45 * judge.tip_mm) < 0.5
-        clear_now = within if lens_is_clear else ""
-        clear_for = clear_for + 1 if clear_now == clear_in else 1
-        clear_in = clear_now
-        newly = [name for name in judge.names if seen_for[name] == 6 or (clear_in == name and clear_for == 6)]
-        for name in newly:
-            if name not in seen:
+        opening_now = behind if lens_is_clear else -1
+        behind_for = behind_for + 1 if opening_now == behind_last else 1
+        behind_last = opening_now
+        known |= {number for number, count in seen_for.items() if count == 6}
+        if behind_last >= 0 and behind_for == 6:
+            known.add(behind_last)
+        for name in judge.names:
+            parts = [number for number, owner in enumerate(judge.owners) if owner == name]
+            if name not in seen and all(number in known for number in parts):
                 seen.append(name)
                 events.append((k / 10, "seen", name))
         arrivals = []
-        if clear_in and clear_for == 6:
-            if clear_in not in entered:
-                arrivals.append((clear_in, "visit"))
-            elif away_for[clear_in][1] >= 6:
+        if behind_last >= 0 and behind_for == 6:
+            name = judge.owners[behind_last]
+            if behind_last not in entered:
+                arrivals.append((name, "visit"))
+            elif away_for[behind_last][1] >= 6:
                 again += 1
-                events.append((k / 10, "revisit", clear_in))
-                arrivals.append((clear_in, "counted"))
-            entered.add(clear_in)
-            away_for[clear_in] = (0, 0)
-        central = [(off, ORDER.index(name), name) for name, off in in_sight.items() if off <= 0.5]
+                events.append((k / 10, "revisit", name))
+                arrivals.append((name, "counted"))
+            entered.add(behind_last)
+            away_for[behind_last] = (0, 0)
+        named = [(off, judge.owners[number]) for number, off in in_sight.items() if off <= 0.5]
+        central = [(off, ORDER.index(name), name) for off, name in named]
         now = min(central)[2] if central else ""
         middle_for = middle_for + 1 if now == middle else 1
         middle = now

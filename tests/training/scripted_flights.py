@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import itertools
 import json
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -203,18 +204,31 @@ def recording_text(
     step_s: float = STEP_S,
     view: dict[str, Any] | None = None,
     complete: bool = True,
+    times_s: list[float] | None = None,
 ) -> str:
+    """Return the text of a recording; ``times_s`` are the times of the poses after the first, if they are uneven."""
     file = io.StringIO()
     file.close = lambda: None  # type: ignore[method-assign]
     pilot = Pilot(Navigator(Pose(poses[0])))
     case = _KEYS.setdefault(id(volume), case_key(volume))
     recorder = Recorder(pilot, file, case=case, carina="0", now_s=0.0, view=VIEW if view is None else view)
     for n, pose in enumerate(poses[1:], start=1):
-        recorder.tick(n * step_s)
+        recorder.tick(n * step_s if times_s is None else times_s[n - 1])
         pilot.apply(PlacePose(tuple(pose.ravel().tolist())))
     recorder.close()
     text = file.getvalue()
     return text if complete else text.removesuffix(text.splitlines(keepends=True)[-1])
+
+
+def at_30_hz(poses: list[np.ndarray]) -> list[np.ndarray]:
+    """Return three poses for each one: the tip moves evenly, and the picture turns at the end of each interval."""
+    made = [poses[0]]
+    for before, after in itertools.pairwise(poses):
+        for n in (1, 2, 3):
+            pose = (after if n == 3 else before).copy()
+            pose[:3, 3] = before[:3, 3] + n / 3 * (after[:3, 3] - before[:3, 3])
+            made.append(pose)
+    return made
 
 
 def header_of(text: str) -> dict[str, Any]:

@@ -189,6 +189,15 @@ def test_spelling_of_a_person_is_recognised(given, segment):
     assert [one.name for one in segments_of_case(tree_of(given))] == [segment]
 
 
+def test_part_below_a_branch_of_another_segment_does_not_count():
+    tree = tree_of("RB2", "LB6a")
+    parts = (replace(tree.branches[0], children=(1,)), replace(tree.branches[1], children=(2,)))
+    points = np.concatenate([tree.branches[1].points[-1:], tree.branches[2].points[-1:]])
+    below = AirwayTree((*parts, replace(tree.branches[2], parent=1, generation=2, points=points)))
+    assert [one.name for one in segments_of_case(tree)] == ["RB2", "LB6"]
+    assert [one.name for one in segments_of_case(below)] == ["RB2"]
+
+
 @pytest.mark.parametrize(("confidence", "expected"), [(0.79, 1), (0.8, 0)])
 def test_name_below_a_confidence_of_080_is_doubtful(confidence, expected):
     assert len(doubtful_names(tree_of("RB1", confidence=confidence), [1])) == expected

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -261,7 +261,12 @@ def score_flight(
     passed = openings_passed(frames.lps_from_tip[:, :3, 3], places.branch_ids, tree, of_segments)
     passed[:first] = passed[last + 1 :] = -1
     clear = clear_views(frames, wall)
-    entries = entries_of(passed, clear, openings_of.segments)
+    place_of = [place for place, openings in enumerate(openings_of.segments) for _ in openings]
+    by_opening = entries_of(passed, clear, [[k] for k in range(len(of_segments))])
+    # The first entry into each part of a segment whose parts arise separately is no revisit.
+    entries, again = (
+        [replace(one, place=place_of[one.place]) for one in found] for found in (by_opening, revisits_of(by_opening))
+    )
     visits = visits_of(sights, openings_of.segments, entries)
     result = task_result(
         task,
@@ -277,7 +282,7 @@ def score_flight(
     if result.completed_frame is not None and task.kind != "inspect":
         last, timed_out = result.completed_frame, False
         visits = [visit for visit in visits if visit.frame <= last]
-        entries = [entry for entry in entries if entry.frame <= last]
+        again = [entry for entry in again if entry.frame <= last]
     contacts, red = wall_contacts(frames, wall, places, first=first, last=last)
     segment_ids = [one for part in segments for one in part.branch_ids]
     doubts = attempt_doubts(frames, wall, task, tree, segment_ids, branch_ids=places.branch_ids, first=first, last=last)
@@ -288,7 +293,7 @@ def score_flight(
         )
         if frame is not None and frame <= last
     ]
-    steps, again = progress_steps(visits, task.revisit_rule), revisits_of(entries)
+    steps = progress_steps(visits, task.revisit_rule)
     time_s = (last - first) / FRAME_HZ
     tips = frames.lps_from_tip[first : last + 1, :3, 3]
     names = {branch.id: branch.name or f"branch {branch.id}" for branch in tree.branches}

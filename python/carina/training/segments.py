@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from carina.display import one_line
 from carina.errors import NoResultError
 from carina.track import AirwayTree, Branch
-from carina.track.names.name_texts import MIRRORED, bare_name
+from carina.track.names.name_texts import MIRRORED, bare_name, segment_of
 
 SEGMENTS = (
     *(f"RB{number}" for number in range(1, 11)),
@@ -55,7 +55,8 @@ def branches_named(tree: AirwayTree, name: str) -> tuple[Branch, ...]:
     """Return the branch with a name, or the branches that begin the parts of the segment with this name.
 
     If no branch has the whole name, the parts are the topmost branches with the name and a letter (RB7a and RB7b), or
-    LB1 and LB2 for LB1+2. Case and blanks of names are ignored. The result is empty if the tree has no such branch.
+    LB1 and LB2 for LB1+2; none below a branch of another segment. Case and blanks of names are ignored. The result is
+    empty if the tree has no such branch.
     """
     wanted = bare_name(name)
     labels = {branch.id: label_of(branch) for branch in tree.branches}
@@ -63,7 +64,12 @@ def branches_named(tree: AirwayTree, name: str) -> tuple[Branch, ...]:
     if whole:
         return whole[:1]
     if wanted in {*SEGMENTS, *MIRRORED_SEGMENTS, *_PARTS.get("LB1+2", ()), *_PARTS.get("RB1+2", ())}:
-        lettered = {number for number, label in labels.items() if _LETTERS.sub("", label) == wanted}
+        lettered = {
+            branch.id
+            for branch in tree.branches
+            if _LETTERS.sub("", labels[branch.id]) == wanted
+            and not any(segment_of(labels[one.id]) not in {None, wanted} for one in tree.lineage(branch.id))
+        }
         if lettered:
             return _topmost(tree, lettered)
     halves = [branches_named(tree, part) for part in _PARTS.get(wanted, ())]
