@@ -11,11 +11,10 @@ from carina.navigate import FlightPath
 from carina.navigate.recording import ReplayedPose
 from carina.plan import DistanceOrigin, Turn
 from carina.track import AirwayTree, caption_name
+from carina.track.tree.branch_at_point import branch_at_point
 
 AHEAD_MM = 40.0
 """Distance to the next turn, mm, up to which the caption names the turn."""
-NEAR_MM = 3.0
-"""Largest distance of the tip from a centreline, in addition to the branch's radius, at which it is in the branch."""
 
 
 class FilmCaptions:
@@ -59,9 +58,10 @@ class FilmCaptions:
         """Return name and depth of the branch that contains a point; empty outside the airways."""
         if self._tree is None or self._origin is None:
             return []
-        branch, index, away_mm = self._tree.nearest_branch(position)
-        if away_mm > float(branch.radius[index]) + NEAR_MM:
+        found = branch_at_point(self._tree, position)
+        if found is None:
             return []
+        branch, index = found
         *before, _ = self._tree.lineage(branch.id)
         steps = np.linalg.norm(np.diff(branch.points[: index + 1], axis=0), axis=1)
         along_mm = sum(one.length_mm for one in before) + float(steps.sum())

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from carina.render import LEAD_VIEW, VIEWS, PathSpan, Picture
 from carina.render.saved_picture import NamedPlace, PictureMarks, finish_picture
 from carina.track import Airways, AirwayTree, Branch, caption_name, kind_words
+from carina.track.tree.branch_at_point import branch_at_point
 
 if TYPE_CHECKING:
     from carina.case.routes import ChosenRoute
@@ -22,8 +23,6 @@ ALONG_MM = 15.0
 """Length of the beginning of a branch, mm, in which the place of its name in the airway view is searched."""
 STEP_MM = 0.5
 """Step of the test whether a wall hides a point from the lens, mm."""
-NEAR_MM = 3.0
-"""Largest distance of the tip from a centreline, in addition to the branch's radius, for a title of the airway view."""
 
 Points = NDArray[np.float64]
 
@@ -134,5 +133,5 @@ def _title(picture: Picture, tree: AirwayTree) -> str | None:
     """Return the name of the branch that contains the lens of an airway view, with its doubts; None outside."""
     if picture.view != LEAD_VIEW or picture.lps_from_camera is None:
         return None
-    branch, index, away_mm = tree.nearest_branch(picture.lps_from_camera[:3, 3])
-    return caption_name(branch) if away_mm <= float(branch.radius[index]) + NEAR_MM else None
+    found = branch_at_point(tree, picture.lps_from_camera[:3, 3])
+    return None if found is None else caption_name(found[0])
