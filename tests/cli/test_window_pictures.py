@@ -14,7 +14,9 @@ import pytest
 import carina as api
 from carina import commands as c
 from carina.errors import CancelledError, CarinaError, UsageError
+from carina.render.picture_text import glyph_size, text_height, text_width
 from carina.server.files.pictures import Pictures
+from carina.track.tree.branch_labels import branch_label
 
 av = pytest.importorskip("av", reason="PyAV is not installed")
 
@@ -83,14 +85,79 @@ def test_marks_can_be_switched_off_and_the_size_doubled(case):
     assert pixels(window_png(case.session, "axial", scale=2).body).shape == (160, 192, 3)
 
 
-def test_names_of_the_edited_tree_are_written_where_the_branches_are(case):
-    off = {"letters": "off", "scale_bar": "off"}
-    for view, size in (("tree", 400), ("airway", 400), ("coronal", 400)):
-        named, plain = (
-            pixels(window_png(case.session, view, width=size, height=size, names=names, **off).body)
-            for names in ("on", "off")
+SIDE = 400
+
+
+def boxes_of_names(branch, view, picture):
+    """Return the pixels, as (left, top, right, bottom), in which the name of a branch can be written in a view."""
+    points, size = branch.points, glyph_size(picture.rgb)
+    if view == "tree":
+        points = points[len(points) // 2][None]
+    elif view == "airway":
+        along_mm = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+        points = points[along_mm <= 15.0]
+    else:
+        depth_mm = np.linalg.solve(picture.lps_from_pixel[:3, :3], (points - picture.lps_from_pixel[:3, 3]).T)[2]
+        crossing = np.flatnonzero(np.diff(np.signbit(depth_mm)))
+        points = points[np.union1d(crossing, crossing + 1)]
+    wide, high = text_width(branch_label(branch), size), text_height(size) + 2 * size
+    for column, row in filter(None, map(picture.pixel_of, points)):
+        if 0.0 <= column < SIDE and 0.0 <= row < SIDE:
+            # The text begins three glyph pixels right of the point, or ends left of it at the right edge.
+            beside = 3 * size if column + wide + 6 * size <= SIDE else -3 * size - wide
+            yield column + beside - 2 * size, row - high, column + beside + wide + 2 * size, row + high
+
+
+@pytest.fixture
+def tip_before_the_main_carina(case):
+    case.opened.do(c.GoTo(path_mm=90.0))
+    yield
+    # The other tests compare the session with its file.
+    case.opened.do(c.GoTo(path_mm=30.0))
+
+
+@pytest.mark.usefixtures("tip_before_the_main_carina")
+@pytest.mark.parametrize("view", ["tree", "airway", "coronal"])
+def test_names_of_the_edited_tree_are_written_where_the_branches_are(case, view):
+    named, plain = (
+        pixels(
+            window_png(
+                case.session,
+                view,
+                width=SIDE,
+                height=SIDE,
+                full_width=SIDE,
+                letters="off",
+                scale_bar="off",
+                names=names,
+            ).body
         )
-        assert (named != plain).any(), view
+        for names in ("on", "off")
+    )
+    marked = (named != plain).any(axis=2)
+    left = marked.copy()
+    scene = case.session.scene(None)
+    picture = scene.renderer.render(scene.spec(view, SIDE, SIDE, 0.5, full_width=SIDE))
+    size = glyph_size(picture.rgb)
+    title = None
+    if view == "airway":
+        # The branch of the tip is named in the corner and not beside its points.
+        title = case.opened.airways.tree.nearest_branch(scene.pose.position_lps)[0]
+        corner = slice(0, text_height(size) + 8 * size), slice(0, text_width(branch_label(title), size) + 4 * size)
+        assert left[corner].any()
+        left[corner] = False
+    written = set()
+    for branch in case.opened.airways.tree.branches:
+        if not branch.name or (title is not None and branch.name == title.name):
+            continue
+        for box in boxes_of_names(branch, view, picture):
+            first_column, first_row, last_column, last_row = (max(round(edge), 0) for edge in box)
+            area = slice(first_row, last_row + 1), slice(first_column, last_column + 1)
+            if marked[area].any():
+                written.add(branch.name)
+                left[area] = False
+    assert not left.any(), np.argwhere(left).mean(axis=0)
+    assert written >= {"tree": {"Own 1", "Trachea", "LMB"}, "airway": {"Own 1", "LMB"}, "coronal": {"Trachea"}}[view]
 
 
 def test_decorated_picture_contains_the_word_and_an_undecorated_one_does_not(case):

@@ -11,14 +11,13 @@ from carina.navigate import FlightPath
 from carina.navigate.recording import ReplayedPose
 from carina.plan import DistanceOrigin, Turn
 from carina.track import AirwayTree
+from carina.track.tree.branch_at_point import branch_at_point
 from carina.track.tree.branch_labels import branch_label
 
 AHEAD_MM = 40.0
 """Distance to the next turn, mm, up to which the caption names the turn."""
 HOUR_MM = 20.0
 """Distance to the next turn, mm, up to which the caption gives the direction of the opening; farther it is hidden."""
-NEAR_MM = 3.0
-"""Largest distance of the tip from a centreline, in addition to the branch's radius, at which it is in the branch."""
 
 
 class FilmCaptions:
@@ -62,9 +61,10 @@ class FilmCaptions:
         """Return name and depth of the branch that contains a point; empty outside the airways."""
         if self._tree is None or self._origin is None:
             return []
-        branch, index, away_mm = self._tree.nearest_branch(position)
-        if away_mm > float(branch.radius[index]) + NEAR_MM:
+        found = branch_at_point(self._tree, position)
+        if found is None:
             return []
+        branch, index = found
         *before, _ = self._tree.lineage(branch.id)
         steps = np.linalg.norm(np.diff(branch.points[: index + 1], axis=0), axis=1)
         along_mm = sum(one.length_mm for one in before) + float(steps.sum())

@@ -29,6 +29,8 @@ from carina.render.pictures import mark_tip
 from carina.render.view_table import VIEWS
 from carina.render.views import Picture
 
+FULL_STEP_VOX = 0.5
+"""Step along the rays of final pictures and of videos, in voxels, in the window and in the command line."""
 DECORATED = "decorated"
 """Word in every picture with decoration, which does not come from the CT."""
 SCALE_MM = (1, 2, 5, 10, 20, 50, 100, 200)

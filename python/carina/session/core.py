@@ -24,6 +24,7 @@ from carina.session.engines import Parts, RendererFactory, default_parts
 from carina.session.jobs.background_jobs import JobEnded, JobProgress, JobRunner
 from carina.session.jobs.job_groups import current_group
 from carina.session.open_case.open_case import LastMove, OpenCase, pose_info
+from carina.session.scene.picture_state import PictureState
 from carina.session.scene.shown_case import ShownCase
 from carina.session.scene.window_views import following_tip
 from carina.session.state.snapshot import (
@@ -438,6 +439,12 @@ class SessionCore:
                 lumen=case.outline,
                 layers=case.planning.lungs.shown(),
             )
+
+    def picture_state(self, window: int | None = None) -> PictureState:
+        """Return the state of the open case from which a picture of a window is saved."""
+        with self.lock:
+            case = self.needed_case()
+            return PictureState(case.info.volume, case.document, self.scene(window))
 
 
 def _is_reported_by_event(error: CarinaError) -> bool:

@@ -19,6 +19,7 @@ from carina.export import VIDEO_SUFFIXES, VideoWriter
 from carina.export.flight_film import FrameOptions, write_frames
 from carina.export.video import even_size, size_notes, video_problem
 from carina.render import Renderer
+from carina.render.saved_picture import FULL_STEP_VOX
 from carina.scopes import DEFAULT_SCOPE
 from carina.server.files.job_results import set_failure, set_result
 from carina.server.files.one_shot_file import StoredFileResponse, new_folder
@@ -26,11 +27,8 @@ from carina.session import Session
 from carina.session.flights.film_flights import FilmFlight, flight_captions
 from carina.session.jobs.background_jobs import Job
 
-STEP_VOX = 0.5
-"""Step along the rays of a frame, in voxels, as that of ``carina fly``."""
 WAIT_S = 15.0
 """Time after which the answer to a request for an unfinished video states that the video is not ready."""
-MIN_SIDE_PX = 16
 STEMS = {"route": "flight", "key_frames": "key-frames", "recording": "recording"}
 """Stem of the file name by kind of flight, which contains neither the patient nor the case."""
 
@@ -232,7 +230,7 @@ class Films:
                 video,
                 renderer,
                 frames,
-                FrameOptions(order.size, DEFAULT_SCOPE, STEP_VOX),
+                FrameOptions(order.size, DEFAULT_SCOPE, FULL_STEP_VOX),
                 captions=captions,
                 progress=job.progress,
                 cancel=job.cancel,

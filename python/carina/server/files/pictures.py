@@ -14,14 +14,12 @@ from starlette.responses import Response
 from carina.commands import PictureFacts
 from carina.errors import CancelledError, CarinaError, UsageError
 from carina.render import CancelToken
-from carina.render.saved_picture import PictureMarks
+from carina.render.saved_picture import FULL_STEP_VOX, PictureMarks
 from carina.render.view_table import view_row
 from carina.session import Session, finish_case_picture
 from carina.session.scene.picture_state import PictureState
 from carina.volume import badges_of
 
-FULL_STEP_VOX = 0.5
-"""Step along the rays of a final picture, in voxels, as that of ``carina render``."""
 SIDES_PX = (16, 8192)
 UPDATE_S = 20.0
 """Longest wait for the renderer to show the newest airways and transfer function."""

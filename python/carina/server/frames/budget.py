@@ -12,6 +12,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from statistics import median
 
+from carina.render.saved_picture import FULL_STEP_VOX
+
 
 @dataclass(frozen=True, slots=True)
 class Level:
@@ -29,7 +31,6 @@ class Level:
         return self.scale**2 * (0.12 + 0.88 * FULL_STEP_VOX / self.step_vox)
 
 
-FULL_STEP_VOX = 0.5
 _SCALES = (1.0, 0.92, 0.84, 0.77, 0.71, 0.65, 0.6, 0.55, 0.5, 0.46, 0.42, 0.385, 0.35, 0.325, 0.3, 0.275, 0.25)
 PLANAR_LEVELS = tuple(Level(scale, FULL_STEP_VOX) for scale in _SCALES)
 AIRWAY_LEVELS = (*PLANAR_LEVELS, *(Level(0.25, step_vox) for step_vox in (0.6, 0.72, 0.86, 1.0, 1.2, 1.4, 1.7, 2.0)))

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from carina.errors import CancelledError, CarinaError, UsageError
 from carina.render import FINDER_VIEW, LEAD_VIEW, CancelToken
+from carina.render.saved_picture import FULL_STEP_VOX
 from carina.scopes import Optics
-from carina.server.frames.budget import FULL_STEP_VOX
 from carina.server.frames.pacing import DEFAULT_RATE_HZ, MOVING, FrameScheduler, RenderOrder
 from carina.server.to_wire.session import picture_lines
 from carina.server.wire.codec import encode_picture

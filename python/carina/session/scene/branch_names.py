@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from carina.render import LEAD_VIEW, VIEWS, PathSpan, Picture
 from carina.render.saved_picture import NamedPlace, PictureMarks, finish_picture
 from carina.track import Airways, AirwayTree, Branch, kind_words
+from carina.track.tree.branch_at_point import branch_at_point
 from carina.track.tree.branch_labels import branch_label
 
 if TYPE_CHECKING:
@@ -23,8 +24,6 @@ ALONG_MM = 15.0
 """Length of the beginning of a branch, mm, in which the place of its name in the airway view is searched."""
 STEP_MM = 0.5
 """Step of the test whether a wall hides a point from the lens, mm."""
-NEAR_MM = 3.0
-"""Largest distance of the tip from a centreline, in addition to the branch's radius, for a title of the airway view."""
 
 Points = NDArray[np.float64]
 
@@ -142,7 +141,5 @@ def _branch_at_lens(picture: Picture, tree: AirwayTree) -> Branch | None:
     """Return the named branch that contains the lens of an airway view; None without one."""
     if picture.view != LEAD_VIEW or picture.lps_from_camera is None:
         return None
-    branch, index, away_mm = tree.nearest_branch(picture.lps_from_camera[:3, 3])
-    if branch.name is None or away_mm > float(branch.radius[index]) + NEAR_MM:
-        return None
-    return branch
+    found = branch_at_point(tree, picture.lps_from_camera[:3, 3])
+    return None if found is None or found[0].name is None else found[0]

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Literal
 from carina.display import one_line
 
 if TYPE_CHECKING:
+    from carina.case.document import Document
     from carina.case.routes import ChosenRoute
     from carina.commands.tree import PathCost
     from carina.session.scene.shown_case import ShownCase
@@ -18,17 +19,32 @@ if TYPE_CHECKING:
 @one_line
 @dataclass(frozen=True, slots=True, eq=False)
 class PictureState:
-    """The CT, the airways, the route and the views of a case at one time; all are immutable."""
+    """The CT, the document and the views of a case at one time; all are immutable."""
 
     volume: Volume
-    airways: Airways | None
-    route: ChosenRoute | None
-    operator: Literal["head", "facing"]
-    """Position of the operator."""
-    cost: PathCost
-    """Edge cost by which the path of the route was searched (:class:`carina.commands.AddTarget`)."""
+    document: Document
     scene: ShownCase | None
     """What the views of the window show; None if the window may not see this case."""
+
+    @property
+    def airways(self) -> Airways | None:
+        """The airways with all edits; None without airways."""
+        return self.document.airways
+
+    @property
+    def route(self) -> ChosenRoute | None:
+        """The chosen route; None without a route."""
+        return self.document.route
+
+    @property
+    def operator(self) -> Literal["head", "facing"]:
+        """Position of the operator."""
+        return self.document.look.operator
+
+    @property
+    def cost(self) -> PathCost:
+        """Edge cost by which the path of the route was searched (:class:`carina.commands.AddTarget`)."""
+        return self.document.cost_of(self.document.route)
 
     def is_valid_for(self, view: str, other: PictureState) -> bool:
         """Return whether the view shows the same content of the same case at both times."""

@@ -9,7 +9,6 @@ import numpy as np
 from carina import commands as c
 from carina.errors import NoResultError, UsageError
 from carina.session.command_registry import CommandHandlers, answers
-from carina.session.scene.picture_state import PictureState
 from carina.session.state.snapshot import PointedPath, WallPoint
 
 if TYPE_CHECKING:
@@ -78,19 +77,9 @@ class CaseQuestions(CommandHandlers):
             return self.core.needed_case().info.volume, self._airways()
 
     @answers(c.PictureFacts)
-    def picture_facts(self, question: c.PictureFacts) -> PictureState:
+    def picture_facts(self, question: c.PictureFacts) -> Any:
         """Return the state of the case for a saved picture."""
-        with self.core.lock:
-            case = self.core.needed_case()
-            document = case.document
-            return PictureState(
-                volume=case.info.volume,
-                airways=document.airways,
-                route=document.route,
-                operator=document.look.operator,
-                cost=document.cost_of(document.route),
-                scene=self.core.scene(question.window),
-            )
+        return self.core.picture_state(question.window)
 
     @answers(c.LumenBeforeWall)
     def lumen_before_wall(self, question: c.LumenBeforeWall) -> tuple[float, float, float]:

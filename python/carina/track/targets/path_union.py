@@ -48,7 +48,7 @@ def tree_of_paths(paths: Sequence[Points], airways: Airways) -> tuple[tuple[Bran
                 id=len(branches),
                 parent=above,
                 children=(),
-                generation=0 if above is None else branches[above].generation + 1,
+                generation=0,
                 name=None,
                 kind="tracked",
                 points=piece,
@@ -60,6 +60,12 @@ def tree_of_paths(paths: Sequence[Points], airways: Airways) -> tuple[tuple[Bran
                 branches[above] = dataclasses.replace(parent, children=(*parent.children, branch.id))
             branches.append(branch)
             above = ending_at[number, last] = branch.id
+    for branch in branches:
+        if branch.parent is not None:
+            parent = branches[branch.parent]
+            # A branch that only continues its parent has the generation of its parent: there is no fork between them.
+            generation = parent.generation + int(len(parent.children) > 1)
+            branches[branch.id] = dataclasses.replace(branch, generation=generation)
     forks = [branch.points[-1] for branch in branches if len(branch.children) > 1]
     return tuple(branches), np.array(forks).reshape(-1, 3)
 
