@@ -216,7 +216,8 @@ def _spiral() -> Points:
     """Return points (n, 2) that are spread evenly over the unit disk, on a spiral of the golden angle."""
     number = np.arange(DISK_POINTS)
     radius, angle = np.sqrt((number + 0.5) / DISK_POINTS), number * np.pi * (3.0 - np.sqrt(5.0))
-    return radius[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    points: Points = radius[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    return points
 
 
 def _lines_in_lumen(eye: Points, rays_lps: Points, depth_mm: Points, wall: WallField) -> NDArray[np.bool_]:
