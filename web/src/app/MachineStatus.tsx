@@ -23,12 +23,6 @@ export function MachineStatus() {
     if (document.activeElement?.closest(".machine-details") != null) dot.current?.focus();
     setOpen(false);
   };
-  /** Close the details by Escape, which has no other effect then. */
-  const closeByKey = (event: { key: string; stopPropagation: () => void }) => {
-    if (event.key !== "Escape") return;
-    event.stopPropagation();
-    close();
-  };
   const trouble = useApp(machineTrouble);
   const connected = useApp((state) => state.connection.status === "open");
   const state = !connected ? "lost" : trouble === null ? "well" : "slow";
@@ -47,11 +41,6 @@ export function MachineStatus() {
             giveKeysBack(event.pointerType);
             setOpen(!open);
           }}
-          onKeyDown={(event) => {
-            // Without open details Escape keeps its effect on the page.
-            if (open) closeByKey(event);
-            else event.continuePropagation();
-          }}
         >
           <span aria-hidden="true" />
         </Button>
@@ -61,18 +50,17 @@ export function MachineStatus() {
           {trouble}
         </span>
       )}
-      {open ? <MachineDetails onClose={close} onKeyDown={closeByKey} /> : null}
+      {open ? <MachineDetails onClose={close} /> : null}
     </>
   );
 }
 
 interface DetailsProps {
   onClose: () => void;
-  onKeyDown: (event: { key: string; stopPropagation: () => void }) => void;
 }
 
 /** Render the figures. The panel takes no focus, so that the figures can be read while flying. */
-function MachineDetails({ onClose, onKeyDown }: DetailsProps) {
+function MachineDetails({ onClose }: DetailsProps) {
   const { fps, ageMs } = useApp((state) => state.pace);
   const status = useApp((state) => state.status);
   const cluster = useApp((state) => state.cluster);
@@ -86,12 +74,7 @@ function MachineDetails({ onClose, onKeyDown }: DetailsProps) {
         : [["Processor", `${plural(status.threads, "core")}, ${simdText(status.simd)}`] as const]),
   ];
   return (
-    <section
-      className="machine-details numbers"
-      aria-label="Details of the machine"
-      data-testid="machine-details"
-      onKeyDown={onKeyDown}
-    >
+    <section className="machine-details numbers" aria-label="Details of the machine" data-testid="machine-details">
       <header>
         <h2>Details</h2>
         <Act kind="icon" icon="close" words="Close the details" onPress={onClose} />
