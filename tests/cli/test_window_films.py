@@ -172,7 +172,7 @@ def test_video_plays_in_old_players_and_its_index_is_before_its_frames(window_ca
 
 def test_captions_change_the_frames_and_name_the_edited_branch(window_case):
     materials = window_case.session.ask(c.FlightToFilm("route", rate_hz=2.0, speed_mm_s=200.0))
-    captions = flight_captions(materials.volume, materials.airways, materials.route, None)
+    captions = flight_captions(materials.volume, materials.airways, materials.caption_route, None)
     frames = materials.frames(lambda *_: None, lambda _note: None)
     lines = [captions.lines(frame, 3.0 * n) for n, frame in enumerate(frames)]
     assert lines[0][0].startswith("0:00  ")

@@ -34,7 +34,7 @@ class Jobs:
 
     def start(self, _kind, _title, work):
         try:
-            work(SimpleNamespace(progress=lambda *_: None, cancel=lambda: False))
+            work(SimpleNamespace(progress=lambda *_: None, cancel=lambda: False, stop_reason=None))
             self.ends.append(None)
         except BaseException as error:
             self.ends.append(type(error))
@@ -62,7 +62,13 @@ ENDS = pytest.mark.parametrize(
 def test_contact_sheet_job_of_a_cancelled_request_ends_without_another_error(monkeypatch, work, end):
     monkeypatch.setattr("carina.server.files.fork_sheets.Future", CancelledFuture)
     monkeypatch.setattr("carina.server.files.fork_sheets.fork_sheet_png", work)
-    state = SimpleNamespace(volume=None, airways=object(), route=object(), operator="head")
+    state = SimpleNamespace(
+        volume=None,
+        airways=object(),
+        route=SimpleNamespace(spans=(1,), forks_mm=(10.0,)),
+        operator="head",
+        cost="lumen",
+    )
     session = SimpleNamespace(ask=lambda _question: state, jobs=Jobs())
     with pytest.raises(asyncio.CancelledError):
         asyncio.run(fork_sheet_answer(session))

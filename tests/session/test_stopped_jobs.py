@@ -72,7 +72,8 @@ def test_contact_sheet_that_another_window_starts_again_is_reported_as_lost(jobs
 
     monkeypatch.setattr("carina.server.files.fork_sheets.fork_sheet_png", endless)
     route = SimpleNamespace(spans=(1,), forks_mm=(10.0,))
-    session = SimpleNamespace(jobs=jobs, ask=lambda _question: (None, object(), route, "head", "lumen"))
+    state = SimpleNamespace(volume=None, airways=object(), route=route, operator="head", cost="lumen")
+    session = SimpleNamespace(jobs=jobs, ask=lambda _question: state)
 
     async def ask_then_start_again():
         first = asyncio.create_task(fork_sheet_answer(session))

@@ -14,7 +14,7 @@ export function isSearchedInAirways({ route, session }: Pick<AppState, "route" |
 }
 
 /** Return the reason why the forks of the route cannot be saved now, as text for the user; null if they can. */
-export function forksProblem(state: Pick<AppState, "route" | "session" | "tree" | "ui">): string | null {
+export function forksProblem(state: AppState): string | null {
   const { route, tree, ui } = state;
   if (route === null) return "There is no route yet. Choose a branch, or mark a target.";
   if (!isSearchedInAirways(state)) {
