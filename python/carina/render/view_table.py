@@ -70,7 +70,7 @@ class Cell:
     """Keyboard action that switches the cell to its next view."""
     list_name: str = ""
     all_when_wide: bool = False
-    """Whether a wide window shows all views of the cell, each in a cell of its own."""
+    """Whether a wide window shows all views of the cell at once, each in a separate cell."""
     side_by_side: tuple[ViewName, ...] = ()
     """Views that the cell can show together in full view, from left to right; empty without such a set."""
 

@@ -49,7 +49,7 @@ class ServerHello(ServerMessage, frozen=True, tag="hello"):
     watches: bool = False
     """Whether the client is an observer: the server refuses all commands except those for the client's own view."""
     window: Count = 0
-    """Number of the client's window, with which it requests pictures of its own views as files."""
+    """Number of the client's window. A client names it when it requests pictures of its views as files."""
 
 
 class CaseListEntry(FrozenValue, frozen=True):
