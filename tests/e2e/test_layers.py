@@ -34,8 +34,12 @@ def mark_the_nodule(workstation) -> None:
     workstation.wait_for("window.__carina.state.plans.targets[0].routes.length > 0")
 
 
-def switch(workstation, layer: str) -> None:
-    """Switch a layer off or on, and wait until its lines are removed from or added to the coronal picture."""
+def switch(workstation, layer: str, *, on: bool) -> None:
+    """Switch a layer on or off, and wait until its lines are added to or removed from the coronal picture."""
+    # A picture that was requested before an earlier switch may still be on its way, and would look like this change.
+    has_layer = f"(window.__carina.state.frames.coronal.layers ?? []).some((one) => one.layer === '{layer}')"
+    workstation.wait_for(f"{has_layer} === {str(not on).lower()}")
+    workstation.refreshes(3)
     before = workstation.overlay("coronal")
     workstation.page.get_by_test_id(f"show-{layer}").click()
     workstation.wait_for("(before) => document.querySelector('[data-overlay=coronal]').toDataURL() !== before", before)
@@ -90,13 +94,13 @@ def test_computation_of_vessel_and_lobe_layers_is_stopped_and_repeated_and_layer
     # On a busy machine the lines may reach the slices after the tree.
     workstation.wait_for("(plain) => document.querySelector('[data-overlay=coronal]').toDataURL() !== plain", plain)
     for layer in ("vessels", "lobes"):
-        switch(workstation, layer)
+        switch(workstation, layer, on=False)
     # These structures may be absent in the slice.
     for layer in ("fissures", "stations"):
         page.get_by_test_id(f"show-{layer}").click()
     workstation.wait_for("(plain) => document.querySelector('[data-overlay=coronal]').toDataURL() === plain", plain)
     for layer in ("vessels", "lobes"):
-        switch(workstation, layer)
+        switch(workstation, layer, on=True)
     assert workstation.faults == []
 
 
