@@ -39,7 +39,7 @@ pub(crate) fn faster_method<'a>(
         #[cfg(not(target_arch = "x86_64"))]
         InstructionSet::Avx2 | InstructionSet::Avx512 => trial_counts(frame, method),
     };
-    if pays(frame, method, stats) {
+    if pays(method, stats) {
         method
     } else {
         Method::Brute
@@ -47,7 +47,7 @@ pub(crate) fn faster_method<'a>(
 }
 
 /// Return whether leaps are faster than brute force, by the counts of the trial rays and the measured times of a step.
-fn pays(frame: &Frame<'_>, method: Method<'_>, stats: CastStats) -> bool {
+fn pays(method: Method<'_>, stats: CastStats) -> bool {
     let num_rays = (TRIAL_SIDE * TRIAL_SIDE) as u64;
     if let Method::LeapValues(_) = method {
         // A step takes about as long as a sample in a volume that fits the caches; the start of a ray and its last
@@ -55,16 +55,14 @@ fn pays(frame: &Frame<'_>, method: Method<'_>, stats: CastStats) -> bool {
         let num_samples = stats.num_samples + stats.num_skipped;
         return 20 * num_samples > 19 * stats.num_lookups + 440 * num_rays;
     }
+    // Measured time of a look-up, in units of a brute-force sample (docs/decisions/0104).
+    let lookup_price = if matches!(method, Method::LeapClasses(_)) {
+        12
+    } else {
+        2
+    };
     // The start of a ray is a little slower with leaps, by about three samples.
-    stats.num_skipped > lookup_price(frame, method) * stats.num_lookups + 3 * num_rays
-}
-
-/// Return the measured time of a look-up, in units of a brute-force sample (docs/decisions/0104).
-fn lookup_price(frame: &Frame<'_>, method: Method<'_>) -> u64 {
-    match (method, frame.options.interpolation) {
-        (Method::LeapClasses(_), _) => 12,
-        _ => 2,
-    }
+    stats.num_skipped > lookup_price * stats.num_lookups + 3 * num_rays
 }
 
 #[cfg(target_arch = "x86_64")]
