@@ -166,12 +166,14 @@ def test_map_of_another_scan_or_comparison_is_refused_with_an_advice_that_keeps_
     moved[0, 3] += 1.0
     other = volume.hu_zyx.copy()
     other[2, 2, 2] += 1
-    for asked, transfer, problem, options in (
+    for requested, transfer, problem, options in (
         (product.Volume(volume.hu_zyx, moved), None, "its grid differs from that of the scan", ""),
         (product.Volume(other, volume.lps_from_ijk), None, "the IsoRegion map of another volume", ""),
         (volume, transfer_preset("endoscopic"), "voxels were compared in another way", " --transfer endoscopic"),
     ):
-        message = _refusal(lambda asked=asked, transfer=transfer: open_isoregion_map(bundle, asked, transfer))
+        message = _refusal(
+            lambda requested=requested, transfer=transfer: open_isoregion_map(bundle, requested, transfer)
+        )
         assert problem in message
         assert advice in message
         assert message.endswith(options)

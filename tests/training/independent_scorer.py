@@ -115,8 +115,8 @@ class Judge:
         rays = preset.lens.optics(64, 64, preset.usual_fov_deg).directions_of(np.array(pixels))
         limit = min(fov_deg, preset.usual_fov_deg) / 2.0
         angle = np.degrees(np.arccos(np.clip(rays[:, 2], -1.0, 1.0)))
-        kept = angle <= limit + 1e-6
-        self.rays, self.pixels = rays[kept], np.array(pixels)[kept]
+        in_picture = angle <= limit + 1e-6
+        self.rays, self.pixels = rays[in_picture], np.array(pixels)[in_picture]
         self.names, self.disks, self.owners = [], [], []
         """Segments of the case; their openings; and the segment of each opening."""
         for name in ORDER:
