@@ -25,8 +25,13 @@ def score(
     ],
     path: PathArgument,
     task: Annotated[
-        str, typer.Option("--task", help="Task of the attempt: name of a built-in task, or a task file.")
-    ] = "inspect-all",
+        str | None,
+        typer.Option(
+            "--task",
+            help="Task of the attempt: name of a built-in task, or a task file. Default: the task that the recording "
+            "states, or else inspect-all.",
+        ),
+    ] = None,
     earlier: Annotated[
         list[Path] | None,
         typer.Option(

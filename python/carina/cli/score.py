@@ -20,6 +20,7 @@ from carina.training import (
     judge_mastery,
     score_flight,
     task_names,
+    task_of_flight,
     write_flight_log,
 )
 from carina.training.mastery import IN_A_ROW_RULE, MASTERY_SOURCE, NOT_COMPARABLE
@@ -38,7 +39,7 @@ def report(
     recording: Path,
     path: Path,
     *,
-    task: str,
+    task: str | None,
     earlier: Sequence[Path],
     log: Path | None,
     learner: str | None,
@@ -52,9 +53,10 @@ def report(
         check_needs("the log (--log)", learner=learner)
     else:
         check_output_folder(log)
-    chosen = find_task(task)
+    chosen = None if task is None else find_task(task)
     check_scan_exists(path)
     flights = [open_case_recording(path, one) for one in (*earlier, recording)]
+    chosen = task_of_flight(flights[-1]) if chosen is None else chosen
     progress = progress_printer()
     source = open_input(path, series=series, progress=progress, ct=ct)
     for one in flights:

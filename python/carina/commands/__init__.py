@@ -21,6 +21,7 @@ from carina.commands.look import *  # noqa: F403
 from carina.commands.masks import *  # noqa: F403
 from carina.commands.plan import *  # noqa: F403
 from carina.commands.questions import *  # noqa: F403
+from carina.commands.training import *  # noqa: F403
 from carina.commands.tree import *  # noqa: F403
 from carina.commands.value import Command as Command
 from carina.commands.value import FrozenValue, subclasses

@@ -105,6 +105,8 @@ class RecordFlight(LocalCommand, frozen=True):
 
     path: Any = None
     """Path of a new file, a :class:`pathlib.Path`; None records into the case."""
+    name: Any = None
+    """Name of the flight in the case; None names it by its number."""
 
 
 class StopRecording(Command, frozen=True):

@@ -68,6 +68,10 @@ class LungsOf(Query[Any], frozen=True):
     """Parts of the lungs that are mapped so far: a :class:`carina.session.LungsInfo`."""
 
 
+class TrainingOf(Query[Any], frozen=True):
+    """Tasks, the running attempt, and scores of flights: a :class:`carina.session.TrainingInfo`."""
+
+
 class CtFolder(Query[Any], frozen=True):
     """Path of the folder of the CT's DICOM files.
 

@@ -14,7 +14,7 @@ import json
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TextIO
+from typing import Any, Literal, TextIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,6 +32,8 @@ FORMAT, VERSION = "carina-recording", 1
 MAX_BYTES = 1 << 30
 MAX_LINE = 64 << 20
 """Longest line in characters: a path of a million points."""
+TaskOutcome = Literal["completed", "stopped", "time-limit", "interrupted"]
+"""End of an attempt at a task: completed, stopped by the user, at the time limit, or for another reason."""
 MAX_LENGTH_S = 1e7
 """Longest recording in seconds: four months."""
 
@@ -132,6 +134,16 @@ class Recorder:
         if view != self._view:
             self._view = view
             self._write({"t": self._time(now_s), "view": view})
+
+    def note_task(self, task: dict[str, Any], now_s: float) -> None:
+        """Record the beginning of an attempt at a task of the training; the task is given as JSON values."""
+        self.tick(now_s)
+        self._write({"t": self._time(self._at_s), "task": task})
+
+    def note_task_end(self, outcome: TaskOutcome, now_s: float) -> None:
+        """Record the end of the attempt."""
+        self.tick(now_s)
+        self._write({"t": self._time(self._at_s), "task_end": outcome})
 
     def tick(self, now_s: float) -> None:
         """Set the current time for the next records; moves of devices contain their own times."""
@@ -252,6 +264,16 @@ class Recording:
                 "scan",
                 code="navigate.recording",
             )
+
+    @property
+    def task(self) -> dict[str, Any] | None:
+        """The task of the training as JSON values, if the recording is an attempt at one, else None."""
+        return next((dict(line["task"]) for line in self.lines if "task" in line), None)
+
+    @property
+    def task_outcome(self) -> str | None:
+        """End of the attempt, one of :data:`TaskOutcome`; None without a task, or if the recording was cut off."""
+        return next((line["task_end"] for line in self.lines if "task_end" in line), None)
 
     @property
     def needs_wall(self) -> bool:
@@ -377,10 +399,12 @@ def read_recording(file: io.TextIOBase | TextIO, place: Path) -> Recording:
             raise _unusable_recording_error(
                 place, f"line {len(lines) + 2} has no time, or an earlier time than the line before"
             )
-        if not all(isinstance(line.get(part, {}), dict) for part in ("move", "view", "wall")):
+        if not all(isinstance(line.get(part, {}), dict) for part in ("move", "view", "wall", "task")):
             raise _unusable_recording_error(
-                place, f"line {len(lines) + 2} contains an invalid movement, view or wall record"
+                place, f"line {len(lines) + 2} contains an invalid movement, view, wall or task record"
             )
+        if not isinstance(line.get("task_end", ""), str):
+            raise _unusable_recording_error(place, f"line {len(lines) + 2} contains an invalid end of a task")
         last_s = float(at_s)
         lines.append(line)
         if "end" in line:

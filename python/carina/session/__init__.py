@@ -29,6 +29,7 @@ from carina.session.state.snapshot import (
     UserMessage,
     WallPoint,
 )
+from carina.session.state.training import FlightScore, ReferenceScores, RunningTask, TaskInfo, TrainingInfo
 from carina.session.store.attach_endpoint import AttachEndpoint
 from carina.session.store.disk_storage import case_files
 from carina.session.store.find_scan import CASE_SUFFIX, CaseScans, FoundScan, is_case_file
@@ -51,6 +52,7 @@ __all__ = [
     "EvidenceMissing",
     "FlightInfo",
     "FlightPlace",
+    "FlightScore",
     "FoundScan",
     "JobEnded",
     "JobGroup",
@@ -67,13 +69,17 @@ __all__ = [
     "PlanningInfo",
     "PoseInfo",
     "RecentCase",
+    "ReferenceScores",
     "RendererFactory",
+    "RunningTask",
     "Session",
     "SessionRenderer",
     "ShownCase",
     "Snapshot",
     "StartMarked",
     "StorageInfo",
+    "TaskInfo",
+    "TrainingInfo",
     "UserMessage",
     "WallPoint",
     "case_files",

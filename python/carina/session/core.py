@@ -65,7 +65,9 @@ Event = Changed | ErrorEvent | EvidenceMissing | UserMessage | StartMarked | Job
 # Longest time in s between two moves that is counted as contact with the wall.
 MAX_CONTACT_S = 10.0
 WATCHING = "session.watching"
-ALL_TOPICS: tuple[Topic, ...] = ("state", "tree", "route", "plan", "lungs", "key_frames", "history", "pose", "views")
+ALL_TOPICS: tuple[Topic, ...] = (
+    "state", "tree", "route", "plan", "lungs", "key_frames", "history", "pose", "views", "training",
+)  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)

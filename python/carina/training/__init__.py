@@ -5,7 +5,7 @@ from carina.training.events import FlightEvent
 from carina.training.flight_frames import FlightFrames, flight_frames
 from carina.training.log_files import events_csv, poses_csv, scores_csv, write_flight_log, xapi_statements
 from carina.training.mastery import REFERENCE_GROUPS, Mastery, ReferenceGroup, judge_mastery
-from carina.training.score import Score, ScoredContact, score_flight, score_recording
+from carina.training.score import FlightScorer, Score, ScoredContact, score_flight, score_recording, task_of_flight
 from carina.training.segments import LANDMARKS, SEGMENTS, CaseSegment, segments_of_case
 from carina.training.task import Task
 from carina.training.task_file import find_task, task_from_file, task_names, task_to_json
@@ -19,6 +19,7 @@ __all__ = [
     "CaseSegment",
     "FlightEvent",
     "FlightFrames",
+    "FlightScorer",
     "Mastery",
     "ReferenceGroup",
     "Score",
@@ -36,6 +37,7 @@ __all__ = [
     "segments_of_case",
     "task_from_file",
     "task_names",
+    "task_of_flight",
     "task_to_json",
     "write_flight_log",
     "xapi_statements",

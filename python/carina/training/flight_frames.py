@@ -64,7 +64,7 @@ class FlightFrames:
     """(n,) index into ``optics`` of each frame."""
     optics: tuple[FlightOptics, ...]
     complete: bool
-    """False if the recording was cut off."""
+    """False if the recording was cut off, or if the attempt at a task ended for another reason than its own end."""
     recorded_poses: Poses = field(repr=False)
     """(m, 4, 4) all recorded poses, mm."""
     recorded_times_s: NDArray[np.float64] = field(repr=False)
@@ -126,7 +126,10 @@ def flight_frames(recording: Recording) -> FlightFrames:
     numbers = latest_before(pose_times_s, times_s)
     # A view that is recorded at the start applies to frame 0.
     view_numbers = np.searchsorted(np.array([at for at, _ in views]), times_s + 1e-9, side="right")
-    return FlightFrames(poses[numbers], numbers, view_numbers, optics, recording.complete, poses, pose_times_s)
+    # An attempt at a task counts only if it reached its end; see `carina.navigate.recording.TaskOutcome`.
+    ended = recording.task is None or recording.task_outcome in {"completed", "stopped", "time-limit"}
+    complete = recording.complete and ended
+    return FlightFrames(poses[numbers], numbers, view_numbers, optics, complete, poses, pose_times_s)
 
 
 def latest_before(known_s: NDArray[np.float64], times_s: NDArray[np.float64]) -> NDArray[np.int64]:

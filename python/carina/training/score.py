@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -30,7 +31,7 @@ from carina.training.handling import (
     tip_places,
     wall_contacts,
 )
-from carina.training.openings_in_sight import branch_openings, clear_views, openings_in_sight
+from carina.training.openings_in_sight import OpeningSights, branch_openings, clear_views, openings_in_sight
 from carina.training.segments import (
     LANDMARKS,
     SEGMENTS,
@@ -41,7 +42,7 @@ from carina.training.segments import (
     segments_of_case,
 )
 from carina.training.task import Clock, Task
-from carina.training.task_file import DEFAULT_TASK, find_task
+from carina.training.task_file import DEFAULT_TASK, find_task, task_from_json
 from carina.training.task_steps import TaskResult, task_result
 from carina.training.visits import Visit, places_seen, progress_steps, revisits_of, visits_of
 from carina.volume import Volume
@@ -168,7 +169,7 @@ class Score:
     volume=instance(Volume, "open a volume with carina.open_volume"),
     airways=instance(Airways, "get airways from carina.find_airways"),
     recording=file_path(also=Recording),
-    task=name_or((Task, Path), "name one of carina.training.task_names"),
+    task=name_or((Task, Path), "name one of carina.training.task_names", optional=True),
     wall=instance(WallField, "make one with carina.wall_field", optional=True),
 )
 def score_recording(
@@ -176,7 +177,7 @@ def score_recording(
     airways: Airways,
     recording: Recording | str | Path,
     *,
-    task: Task | str | Path = DEFAULT_TASK,
+    task: Task | str | Path | None = None,
     wall: WallField | None = None,
     progress: ProgressChoice = None,
 ) -> Score:
@@ -189,7 +190,8 @@ def score_recording(
     recording
         Recording of one attempt (`carina.navigate.open_recording`), or its file.
     task
-        Task of the attempt: name of a built-in task, file of a task, or `carina.training.Task`.
+        Task of the attempt: name of a built-in task, file of a task, or `carina.training.Task`. None takes the task
+        that the recording states, or else ``inspect-all``.
     wall
         Distance to the wall of the airways; computed if None.
     progress
@@ -220,119 +222,187 @@ def score_recording(
     >>> score.procedure_time_s  # doctest: +SKIP
     26.4
     """
-    chosen = task if isinstance(task, Task) else find_task(task)
     flown = recording if isinstance(recording, Recording) else open_recording(recording)
+    chosen = task if isinstance(task, Task) else task_of_flight(flown) if task is None else find_task(task)
     flown.check_scan(volume)
     chosen.check_case(airways.tree)
     field_of_wall = wall_field(volume, airways, progress=progress) if wall is None else wall
     return score_flight(airways.tree, field_of_wall, flight_frames(flown), chosen, progress=progress)
 
 
+def task_of_flight(recording: Recording) -> Task:
+    """Return the task that a recording states, or the inspection of all segments if it states none.
+
+    Raises
+    ------
+    UsageError
+        ``training.task``: if the stated task is invalid.
+    """
+    stated = recording.task
+    return find_task(DEFAULT_TASK) if stated is None else task_from_json(stated, "the recording")
+
+
 def score_flight(
     tree: AirwayTree, wall: WallField, frames: FlightFrames, task: Task, *, progress: ProgressChoice = None
 ) -> Score:
     """Score the frames of a flight; see `score_recording`."""
-    report = progress_function(progress)
-    task.check_case(tree)
-    segments = segments_of_case(tree)
-    if not segments:
-        raise NoResultError(
-            f"task {task.name}: the airways of this case: expected branches named RB1 to LB10; found none; choose "
-            "another case, or name the segments in the window",
-            code="training.no-segments",
+    return FlightScorer(tree, wall, task).score(frames, progress=progress)
+
+
+class FlightScorer:
+    """Scorer of a flight, also while it grows: the openings in sight are computed once for each frame.
+
+    Parameters
+    ----------
+    tree, wall
+        Airways of the case, and their wall.
+    task
+        Task of the attempt.
+
+    Raises
+    ------
+    NoResultError
+        ``training.no-branch``, ``training.turns``: if the case is unsuitable for the task. ``training.no-segments``:
+        if no branch has the name of a segment.
+    """
+
+    def __init__(self, tree: AirwayTree, wall: WallField, task: Task) -> None:
+        task.check_case(tree)
+        segments = segments_of_case(tree)
+        if not segments:
+            raise NoResultError(
+                f"task {task.name}: the airways of this case: expected branches named RB1 to LB10; found none; choose "
+                "another case, or name the segments in the window",
+                code="training.no-segments",
+            )
+        self._tree, self._wall, self._task, self._segments = tree, wall, task, segments
+        self._openings = _Openings(tree, wall, task, segments)
+        self._known: OpeningSights | None = None
+
+    def score(self, frames: FlightFrames, *, progress: ProgressChoice = None) -> Score:
+        """Score the frames of a flight.
+
+        Parameters
+        ----------
+        frames
+            Frames of the flight. In a second call they must begin with the frames of the call before.
+        progress
+            As in `score_recording`.
+
+        Raises
+        ------
+        NoResultError
+            ``training.not-started``: if the tip is never in the airways.
+        """
+        report = progress_function(progress)
+        tree, wall, task, segments, openings_of = self._tree, self._wall, self._task, self._segments, self._openings
+        places = tip_places(frames, tree)
+        wall_mm = wall.distance_mm(frames.lps_from_tip[:, :3, 3])
+        first = clock_start(tree, frames, places, wall_mm, task.clock)
+        last = len(wall_mm) - 1
+        timed_out = False
+        if task.time_limit_s is not None and last - first > task.time_limit_s * FRAME_HZ:
+            last, timed_out = first + int(task.time_limit_s * FRAME_HZ), True
+        sights = self._sights(frames, first, last, report)
+        of_segments = openings_of.openings[: openings_of.num_of_segments]
+        passed = openings_passed(frames.lps_from_tip[:, :3, 3], places.branch_ids, tree, of_segments)
+        passed[:first] = passed[last + 1 :] = -1
+        clear = clear_views(frames, wall)
+        place_of = [place for place, openings in enumerate(openings_of.segments) for _ in openings]
+        by_opening = entries_of(passed, clear, [[k] for k in range(len(of_segments))])
+        # The first entry into each part of a segment whose parts arise separately is no revisit.
+        entries, again = (
+            [replace(one, place=place_of[one.place]) for one in found]
+            for found in (by_opening, revisits_of(by_opening))
         )
-    places = tip_places(frames, tree)
-    wall_mm = wall.distance_mm(frames.lps_from_tip[:, :3, 3])
-    first = clock_start(tree, frames, places, wall_mm, task.clock)
-    last = len(wall_mm) - 1
-    timed_out = False
-    if task.time_limit_s is not None and last - first > task.time_limit_s * FRAME_HZ:
-        last, timed_out = first + int(task.time_limit_s * FRAME_HZ), True
-    openings_of = _Openings(tree, wall, task, segments)
-    sights = openings_in_sight(
-        frames,
-        openings_of.openings,
-        wall,
-        first=first,
-        last=last,
-        report=None if report is None else lambda share: report("scoring the flight", share),
-    )
-    of_segments = openings_of.openings[: openings_of.num_of_segments]
-    passed = openings_passed(frames.lps_from_tip[:, :3, 3], places.branch_ids, tree, of_segments)
-    passed[:first] = passed[last + 1 :] = -1
-    clear = clear_views(frames, wall)
-    place_of = [place for place, openings in enumerate(openings_of.segments) for _ in openings]
-    by_opening = entries_of(passed, clear, [[k] for k in range(len(of_segments))])
-    # The first entry into each part of a segment whose parts arise separately is no revisit.
-    entries, again = (
-        [replace(one, place=place_of[one.place]) for one in found] for found in (by_opening, revisits_of(by_opening))
-    )
-    visits = visits_of(sights, openings_of.segments, entries)
-    result = task_result(
-        task,
-        tree,
-        sights=sights,
-        task_openings=openings_of.task_openings,
-        visits=visits,
-        segments=segments,
-        places=places,
-        first=first,
-        last=last,
-    )
-    if result.completed_frame is not None and task.kind != "inspect":
-        last, timed_out = result.completed_frame, False
-        visits = [visit for visit in visits if visit.frame <= last]
-        again = [entry for entry in again if entry.frame <= last]
-    contacts, red = wall_contacts(frames, wall, places, first=first, last=last)
-    segment_ids = [one for part in segments for one in part.branch_ids]
-    doubts = attempt_doubts(frames, wall, task, tree, segment_ids, branch_ids=places.branch_ids, first=first, last=last)
-    seen = [
-        (frame, segments[n].name)
-        for n, frame in enumerate(
-            places_seen(sights, openings_of.segments, openings_entered(passed, clear, len(of_segments)))
+        visits = visits_of(sights, openings_of.segments, entries)
+        result = task_result(
+            task,
+            tree,
+            sights=sights,
+            task_openings=openings_of.task_openings,
+            visits=visits,
+            segments=segments,
+            places=places,
+            first=first,
+            last=last,
         )
-        if frame is not None and frame <= last
-    ]
-    steps = progress_steps(visits, task.revisit_rule)
-    time_s = (last - first) / FRAME_HZ
-    tips = frames.lps_from_tip[first : last + 1, :3, 3]
-    names = {branch.id: branch.name or f"branch {branch.id}" for branch in tree.branches}
-    scored = tuple(_scored_contact(one, names) for one in contacts)
-    events = [
-        FlightEvent(first / FRAME_HZ, "clock-start", task.clock),
-        *(FlightEvent(frame / FRAME_HZ, "seen", name) for frame, name in seen),
-        *_visit_events(visits, steps, again, segments),
-        *(FlightEvent(one.time_s, "contact", one.branch, f"{one.clock_hour:.0f} o'clock") for one in scored),
-        *(one for one in result.events if one.time_s <= last / FRAME_HZ),
-        *(FlightEvent(one.time_s, "doubt", one.code) for one in doubts if one.time_s is not None),
-        FlightEvent(last / FRAME_HZ, "clock-end", "time limit" if timed_out else "end of the attempt"),
-    ]
-    absent = tuple(name for name in published_segments(tree) if name not in {one.name for one in segments})
-    order = {"clock-start": 0, "clock-end": 2}
-    return Score(
-        task=task,
-        diagnostic_completeness=len(seen),
-        case_segments=tuple(one.name for one in segments),
-        segments_absent=absent,
-        structured_progress=len(steps),
-        procedure_time_s=time_s,
-        mean_intersegmental_time_s=time_s / len(seen) if seen else None,
-        segments_revisited=len(again),
-        segments_seen=tuple(name for _, name in sorted(seen, key=lambda one: one[0])),
-        path_length_mm=path_length_mm(tips),
-        smoothness=smoothness(tips),
-        contacts=scored,
-        contact_time_s=sum(one.duration_s for one in scored),
-        red_out_s=int(red[first:last].sum()) / FRAME_HZ,
-        lumen_in_middle=float(places.lumen_in_middle[first : last + 1].mean()),
-        result=result,
-        doubts=doubts,
-        notes=(*_case_notes(tree, absent), *_flight_notes(frames, task)),
-        events=tuple(sorted(events, key=lambda one: (one.time_s, order.get(one.kind, 1)))),
-        frames=frames,
-        clock_start_s=first / FRAME_HZ,
-        clock_end_s=last / FRAME_HZ,
-    )
+        if result.completed_frame is not None and task.kind != "inspect":
+            last, timed_out = result.completed_frame, False
+            visits = [visit for visit in visits if visit.frame <= last]
+            again = [entry for entry in again if entry.frame <= last]
+        contacts, red = wall_contacts(frames, wall, places, first=first, last=last)
+        segment_ids = [one for part in segments for one in part.branch_ids]
+        doubts = attempt_doubts(
+            frames, wall, task, tree, segment_ids, branch_ids=places.branch_ids, first=first, last=last
+        )
+        seen = [
+            (frame, segments[n].name)
+            for n, frame in enumerate(
+                places_seen(sights, openings_of.segments, openings_entered(passed, clear, len(of_segments)))
+            )
+            if frame is not None and frame <= last
+        ]
+        steps = progress_steps(visits, task.revisit_rule)
+        time_s = (last - first) / FRAME_HZ
+        tips = frames.lps_from_tip[first : last + 1, :3, 3]
+        names = {branch.id: branch.name or f"branch {branch.id}" for branch in tree.branches}
+        scored = tuple(_scored_contact(one, names) for one in contacts)
+        events = [
+            FlightEvent(first / FRAME_HZ, "clock-start", task.clock),
+            *(FlightEvent(frame / FRAME_HZ, "seen", name) for frame, name in seen),
+            *_visit_events(visits, steps, again, segments),
+            *(FlightEvent(one.time_s, "contact", one.branch, f"{one.clock_hour:.0f} o'clock") for one in scored),
+            *(one for one in result.events if one.time_s <= last / FRAME_HZ),
+            *(FlightEvent(one.time_s, "doubt", one.code) for one in doubts if one.time_s is not None),
+            FlightEvent(last / FRAME_HZ, "clock-end", "time limit" if timed_out else "end of the attempt"),
+        ]
+        absent = tuple(name for name in published_segments(tree) if name not in {one.name for one in segments})
+        order = {"clock-start": 0, "clock-end": 2}
+        return Score(
+            task=task,
+            diagnostic_completeness=len(seen),
+            case_segments=tuple(one.name for one in segments),
+            segments_absent=absent,
+            structured_progress=len(steps),
+            procedure_time_s=time_s,
+            mean_intersegmental_time_s=time_s / len(seen) if seen else None,
+            segments_revisited=len(again),
+            segments_seen=tuple(name for _, name in sorted(seen, key=lambda one: one[0])),
+            path_length_mm=path_length_mm(tips),
+            smoothness=smoothness(tips),
+            contacts=scored,
+            contact_time_s=sum(one.duration_s for one in scored),
+            red_out_s=int(red[first:last].sum()) / FRAME_HZ,
+            lumen_in_middle=float(places.lumen_in_middle[first : last + 1].mean()),
+            result=result,
+            doubts=doubts,
+            notes=(*_case_notes(tree, absent), *_flight_notes(frames, task)),
+            events=tuple(sorted(events, key=lambda one: (one.time_s, order.get(one.kind, 1)))),
+            frames=frames,
+            clock_start_s=first / FRAME_HZ,
+            clock_end_s=last / FRAME_HZ,
+        )
+
+    def _sights(
+        self, frames: FlightFrames, first: int, last: int, report: Callable[[str, float | None], None] | None
+    ) -> OpeningSights:
+        """Return the openings in sight from ``first`` to ``last``; frames of the call before are not computed again."""
+        known = self._known
+        begin = first if known is None else max(first, len(known.in_sight))
+        found = openings_in_sight(
+            frames,
+            self._openings.openings,
+            self._wall,
+            first=begin,
+            last=last,
+            report=None if report is None else lambda share: report("scoring the flight", share),
+        )
+        if known is not None:
+            found.in_sight[: len(known.in_sight)] = known.in_sight
+            found.off_middle[: len(known.in_sight)] = known.off_middle
+        self._known = found
+        return found
 
 
 class _Openings:

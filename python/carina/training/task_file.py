@@ -53,6 +53,41 @@ def task_to_json(task: Task) -> dict[str, Any]:
     }
 
 
+def task_from_json(document: dict[str, Any], where: str) -> Task:
+    """Return the task of a recording from the plain JSON types of `task_to_json`.
+
+    Parameters
+    ----------
+    document
+        The values.
+    where
+        Description of their source, for messages.
+
+    Raises
+    ------
+    UsageError
+        ``training.task``: if a field is missing, unknown or has an impossible value.
+    """
+    unknown = document.keys() - {"format", "version", *FIELDS}
+    if document.get("format") != FORMAT or document.get("version") != VERSION or unknown:
+        raise UsageError(
+            f"{where}: task: expected the fields of {FORMAT} version {VERSION}; found {', '.join(sorted(document))}; "
+            "name the task of the flight instead",
+            code="training.task",
+        )
+    values: dict[str, Any] = {
+        name: tuple(value) if isinstance(value, list) else value
+        for name, value in document.items()
+        if name not in {"format", "version"}
+    }
+    try:
+        return Task(**values)
+    except (TypeError, UsageError) as error:
+        raise UsageError(
+            f"{where}: {str(error).removeprefix('Task: ')}; name the task of the flight instead", code="training.task"
+        ) from None
+
+
 def task_names() -> tuple[str, ...]:
     """Return the names of the built-in tasks."""
     return tuple(sorted(path.stem for path in BUILT_IN.glob("*.json")))

@@ -706,6 +706,26 @@ export interface MapReachMessage {
   readonly tool?: string;
 }
 
+/** Begin an attempt at a task: insert the scope into the trachea and record the flight until the task ends.
+
+    The command is a job if the wall of the airways must be computed first. */
+export interface StartTaskMessage {
+  readonly type: "start_task";
+  readonly task: string;
+}
+
+/** End the attempt, and score its flight; nothing happens if no task is running. */
+export interface StopTaskMessage {
+  readonly type: "stop_task";
+}
+
+/** Score a recorded flight, by a job. */
+export interface ScoreFlightMessage {
+  readonly type: "score_flight";
+  readonly number: number;
+  readonly task?: string | null;
+}
+
 /** First message of a client. */
 export interface ClientHelloMessage {
   readonly type: "hello";
@@ -1816,6 +1836,94 @@ export interface KeyFramesMessage {
   readonly problem: string | null;
 }
 
+/** A task of the training. */
+export interface TaskInfo {
+  readonly name: string;
+  readonly title: string;
+  readonly level: "advanced" | "beginner" | "intermediate";
+  readonly time_limit_s: number | null;
+  readonly names_shown: boolean;
+  readonly tree_shown: boolean;
+  readonly problem: string | null;
+}
+
+/** The attempt at a task that is being flown. */
+export interface RunningTask {
+  readonly task: string;
+  readonly flight: number;
+  readonly elapsed_s: number;
+  readonly num_steps: number;
+  readonly steps_done: readonly string[];
+  readonly next_step: string | null;
+  readonly message: string | null;
+  readonly is_warning: boolean;
+}
+
+/** The published scores of an attempt; docs/training.md defines each of them and names its source. */
+export interface PublishedScores {
+  readonly num_seen: number;
+  readonly num_progressions: number;
+  readonly time_s: number;
+  readonly time_per_segment_s: number | null;
+  readonly num_revisited: number;
+}
+
+/** Measures of an attempt for which no threshold is published. */
+export interface UnmarkedMeasures {
+  readonly path_mm: number;
+  readonly smoothness: number | null;
+  readonly num_contacts: number;
+  readonly contact_s: number;
+  readonly red_out_s: number;
+  readonly middle_share: number;
+}
+
+/** A moment of a scored flight, to be replayed. */
+export interface ScoreMoment {
+  readonly time_s: number;
+  readonly words: string;
+}
+
+/** Scores of a recorded flight. */
+export interface FlightScore {
+  readonly flight: number;
+  readonly task: string;
+  readonly task_title: string;
+  readonly is_inspection: boolean;
+  readonly completed: boolean;
+  readonly num_steps_done: number;
+  readonly num_steps: number;
+  readonly num_wrong: number;
+  readonly published: PublishedScores;
+  readonly unmarked: UnmarkedMeasures;
+  readonly seen: readonly string[];
+  readonly not_seen: readonly string[];
+  readonly absent: readonly string[];
+  readonly doubts: readonly string[];
+  readonly notes: readonly string[];
+  readonly moments: readonly ScoreMoment[];
+}
+
+/** Published scores of one group on a phantom, with another system; not a pass mark. */
+export interface ReferenceScores {
+  readonly group: string;
+  readonly num_seen: number;
+  readonly num_progressions: number;
+  readonly time_s: number;
+  readonly time_per_segment_s: number;
+  readonly source: string;
+}
+
+/** Tasks, the running attempt, and scores of flights; sent after each change, and each second during an attempt. */
+export interface TrainingMessage {
+  readonly type: "training";
+  readonly tasks: readonly TaskInfo[];
+  readonly running: RunningTask | null;
+  readonly scores: readonly FlightScore[];
+  readonly verdict: string | null;
+  readonly references: readonly ReferenceScores[];
+}
+
 /** A branch of a `carina-tree` document. */
 export interface TreeBranch {
   readonly id: number;
@@ -2190,6 +2298,9 @@ export type ClientMessage =
   | MarkSphereMessage
   | MapLungsMessage
   | MapReachMessage
+  | StartTaskMessage
+  | StopTaskMessage
+  | ScoreFlightMessage
   | ClientHelloMessage
   | OpenUploadMessage
   | ImportMaskMessage
@@ -2245,6 +2356,7 @@ export type ServerMessage =
   | EditPreviewMessage
   | NoEvidenceMessage
   | KeyFramesMessage
+  | TrainingMessage
   | TreeMessage
   | LivePathMessage
   | BranchDetailMessage;

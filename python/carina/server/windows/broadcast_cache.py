@@ -7,7 +7,7 @@ import logging
 from collections.abc import Callable
 from typing import Any
 
-from carina.commands import LungsOf, PlanningOf
+from carina.commands import LungsOf, PlanningOf, TrainingOf
 from carina.errors import UsageError
 from carina.export.video import video_problem
 from carina.server.to_wire.lungs import lungs_message
@@ -130,6 +130,13 @@ class SharedTexts:
         made = (info.lungs, info.reach, info.stations, info.outdated)
         standing = (info.standing, info.problem, info.reach_standing, info.reach_problem)
         return self._cached_text("lungs", lambda: lungs_message(info), *made, *standing)
+
+    def training(self) -> str:
+        """Return the encoded tasks, running attempt and scores of the open case."""
+        info = self._session.ask(TrainingOf())
+        return wire.encode_message(
+            wire.TrainingMessage(info.tasks, info.running, info.scores, info.verdict, info.references)
+        )
 
     def flights(self) -> str:
         """Return the encoded list of flights recorded in the case."""

@@ -19,6 +19,7 @@ TOPICS = (
     "tree",
     "route",
     "plan",
+    "training",
     "lungs",
     "key_frames",
     "flights",

@@ -119,7 +119,7 @@ class Window:
         self._pointing.start()
         topics = ["start", "state", "watching"]
         if self._session.snapshot().case is not None:
-            topics += ["tree", "route", "plan", "lungs", "key_frames", "flights", "history", "pose"]
+            topics += ["tree", "route", "plan", "lungs", "key_frames", "flights", "history", "pose", "training"]
         self.mark(*topics)
         for job in self._session.jobs.running:
             if job.latest is not None:
@@ -185,6 +185,8 @@ class Window:
                 return self._host.texts.key_frames()
             case "flights":
                 return self._host.texts.flights()
+            case "training":
+                return self._host.texts.training()
             case "watching":
                 return self._host.watching_text()
             case "history":
@@ -223,6 +225,9 @@ class Window:
         match event:
             case Changed():
                 self.mark(*event.topics)
+                if "tree" in event.topics:
+                    # The case may have become suitable or unsuitable for a task.
+                    self.mark("training")
             case JobProgress():
                 self.outbox.push(_progress(event))
             case JobEnded():

@@ -1,9 +1,9 @@
 """All messages between server and client, with their parsers and encoder (specification: ``protocol/README.md``).
 
 Requests about the case are the commands of :mod:`carina.commands`. The messages of the connection are defined in
-``messages_from_client.py``, ``messages_from_server.py``, ``messages_of_tree.py``, ``messages_of_edits.py``,
-``messages_of_key_frames.py``, ``messages_of_plan.py``, ``messages_of_devices.py`` and ``messages_of_phone.py``
-(between the server and the phone page, on a separate socket). A new message needs only a new class in one of them.
+``messages_from_client.py``, ``messages_from_server.py`` and the ``messages_of_*.py`` files; those of
+``messages_of_phone.py`` go between the server and the phone page, on a separate socket. A new message needs only a new
+class in one of them.
 
 ``python -m carina.server.wire.generate`` generates ``web/src/wire/messages.ts`` and ``protocol/schema.json`` from
 the classes; a test fails if the files differ from the classes. World coordinates are LPS mm, matrices are 4x4
@@ -39,6 +39,7 @@ from carina.server.wire.messages_of_edits import *  # noqa: F403
 from carina.server.wire.messages_of_key_frames import *  # noqa: F403
 from carina.server.wire.messages_of_phone import *  # noqa: F403
 from carina.server.wire.messages_of_plan import *  # noqa: F403
+from carina.server.wire.messages_of_training import *  # noqa: F403
 from carina.server.wire.messages_of_tree import *  # noqa: F403
 from carina.session.attach.messages import *  # noqa: F403
 from carina.session.attach.messages import JoinMessage, ToJoinMessage

@@ -5,13 +5,14 @@ from __future__ import annotations
 import contextlib
 from dataclasses import replace
 from pathlib import Path
-from typing import TextIO, cast
+from typing import Any, TextIO, cast
 
 from carina import commands as c
 from carina.case.recordings import RecordingFacts, RecordingWriter
 from carina.disk import disk_trouble, make_folder
 from carina.errors import UsageError
 from carina.navigate import Recorder, case_key
+from carina.navigate.recording import TaskOutcome
 from carina.session.command_registry import CommandHandlers, does
 from carina.session.core import SessionCore
 from carina.session.flights.scope_contact import ScopeContactHandlers
@@ -61,6 +62,22 @@ class FlightRecorder(CommandHandlers):
             return None
         return next((one for one in case.flights.listed if one.recording_id == into.number), None)
 
+    @property
+    def flight_number(self) -> int | None:
+        """Number of the flight that is being recorded into the case; None without one."""
+        flight = None if self._recorder is None else self._flight()
+        return None if flight is None else flight.recording_id
+
+    def note_task(self, task: dict[str, Any]) -> None:
+        """Record the beginning of an attempt at a task; the caller holds the session's lock."""
+        if self._recorder is not None:
+            self._recorder.note_task(task, self.core.clock())
+
+    def note_task_end(self, outcome: TaskOutcome) -> None:
+        """Record the end of the attempt; the caller holds the session's lock."""
+        if self._recorder is not None:
+            self._recorder.note_task_end(outcome, self.core.clock())
+
     @does(c.RecordFlight)
     def start(self, command: c.RecordFlight) -> None:
         """Start a recording in the current mode of movement.
@@ -86,7 +103,7 @@ class FlightRecorder(CommandHandlers):
         if command.path is None:
             path = None
             with self.core.lock:
-                name, into = new_flight(case, self.core.clock())
+                name, into = new_flight(case, self.core.clock(), command.name)
                 file = cast(TextIO, into)
         else:
             path, name, into = Path(command.path), str(command.path), None
@@ -174,12 +191,15 @@ class FlightRecorder(CommandHandlers):
             self._recorder.note_view(view_words(case.document, case.sight), self.core.clock())
 
 
-def new_flight(case: OpenCase, now_s: float) -> tuple[str, RecordingWriter]:
-    """Return the name and the writer of a new flight of a case; the caller holds the session's lock."""
+def new_flight(case: OpenCase, now_s: float, name: str | None = None) -> tuple[str, RecordingWriter]:
+    """Return the name and the writer of a new flight of a case; the caller holds the session's lock.
+
+    Without a name, the flight is named by its number.
+    """
     known = {one.recording_id for one in case.flights.listed}
     number = case.next_number("flight")
     while number in known:
         # A repaired file, or a file of another program, may have lost the last number.
         number = case.next_number("flight")
-    name = f"Flight {number}"
+    name = name or f"Flight {number}"
     return name, RecordingWriter(name, max(0.0, now_s - case.begun_s), number=number)

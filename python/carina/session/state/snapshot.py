@@ -28,7 +28,9 @@ if TYPE_CHECKING:
 
 Stage = Literal["empty", "opening", "ready"]
 AirwayStatus = Literal["none", "waiting", "finding", "found", "failed"]
-Topic = Literal["state", "tree", "route", "pose", "start", "views", "key_frames", "flights", "history", "plan", "lungs"]
+Topic = Literal[
+    "state", "tree", "route", "pose", "start", "views", "key_frames", "flights", "history", "plan", "lungs", "training"
+]
 
 
 @one_line

@@ -1,0 +1,128 @@
+"""State of the training that windows show: tasks, the running attempt, and the scores of flights."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from carina.commands.fields import Count, FlightNumber, OwnName, Words
+from carina.value import FrozenValue, Part
+
+
+class TaskInfo(FrozenValue, frozen=True):
+    """A task of the training."""
+
+    name: OwnName
+    title: Words
+    level: Literal["beginner", "intermediate", "advanced"]
+    time_limit_s: float | None
+    """Time after which an attempt ends; null for no limit."""
+    names_shown: bool
+    """Whether the window shows the names of branches during an attempt."""
+    tree_shown: bool
+    """Whether the window shows the airway tree during an attempt."""
+    problem: Words | None
+    """Reason why the open case is unsuitable for the task; null if it is suitable."""
+
+
+class RunningTask(FrozenValue, frozen=True):
+    """The attempt at a task that is being flown."""
+
+    task: OwnName
+    """Name of the task."""
+    flight: FlightNumber
+    """Number of the flight that is being recorded."""
+    elapsed_s: float
+    """Time since the beginning of the attempt."""
+    num_steps: Count
+    steps_done: tuple[Words, ...] = ()
+    next_step: Words | None = None
+    """The next step in the order of the task; null without an order, or if names are hidden."""
+    message: Words | None = None
+    """The latest event of the flight, for a few seconds."""
+    is_warning: bool = False
+    """Whether the message reports a fault, such as a wrong branch or a contact with the wall."""
+
+
+class ScoreMoment(FrozenValue, frozen=True):
+    """A moment of a scored flight, to be replayed."""
+
+    time_s: float
+    """Time from the start of the flight."""
+    words: Words
+
+
+class PublishedScores(FrozenValue, frozen=True):
+    """The published scores of an attempt; docs/training.md defines each of them and names its source."""
+
+    num_seen: Count
+    """Diagnostic completeness: number of segments seen, of 18."""
+    num_progressions: Count
+    """Structured progress: number of moves to the next segment in ascending order, of 18."""
+    time_s: float
+    """Procedure time."""
+    time_per_segment_s: float | None
+    """Mean intersegmental time; null if no segment was seen."""
+    num_revisited: Count
+    """Segments revisited."""
+
+
+class UnmarkedMeasures(FrozenValue, frozen=True):
+    """Measures of an attempt for which no threshold is published."""
+
+    path_mm: float
+    smoothness: float | None
+    num_contacts: Count
+    contact_s: float
+    red_out_s: float
+    middle_share: Part
+    """Share of the time with the lumen in the middle of the picture."""
+
+
+class FlightScore(FrozenValue, frozen=True):
+    """Scores of a recorded flight."""
+
+    flight: FlightNumber
+    task: OwnName
+    task_title: Words
+    is_inspection: bool
+    """Whether the task is the inspection of all segments, for which mastery is defined."""
+    completed: bool
+    num_steps_done: Count
+    num_steps: Count
+    num_wrong: Count
+    published: PublishedScores
+    unmarked: UnmarkedMeasures
+    seen: tuple[Words, ...]
+    """Segments seen, in the order in which they were seen."""
+    not_seen: tuple[Words, ...]
+    """Other segments of the case."""
+    absent: tuple[Words, ...]
+    """Segments of the published list that the case does not have."""
+    doubts: tuple[Words, ...]
+    """Reasons why the attempt does not count in a verdict; empty if it counts."""
+    notes: tuple[Words, ...]
+    moments: tuple[ScoreMoment, ...]
+    """At most three moments to replay: the longest contacts, wrong branches, and revisits."""
+
+
+class ReferenceScores(FrozenValue, frozen=True):
+    """Published scores of one group on a phantom, with another system; not a pass mark."""
+
+    group: Words
+    num_seen: float
+    num_progressions: float
+    time_s: float
+    time_per_segment_s: float
+    source: Words
+
+
+class TrainingInfo(FrozenValue, frozen=True):
+    """Tasks, the running attempt, and scores of flights of the open case."""
+
+    tasks: tuple[TaskInfo, ...] = ()
+    running: RunningTask | None = None
+    scores: tuple[FlightScore, ...] = ()
+    """Scores of the flights that were scored since the case was opened, in the order of the flights."""
+    verdict: Words | None = None
+    """Verdict on mastery over the inspections among these flights; null without one."""
+    references: tuple[ReferenceScores, ...] = ()

@@ -1,0 +1,1 @@
+"""Training in a session: attempts at tasks, and the scores of flights."""

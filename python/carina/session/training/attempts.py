@@ -1,0 +1,294 @@
+"""Commands of the training: attempts at tasks, and the scores of recorded flights."""
+
+from __future__ import annotations
+
+import io
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from carina import commands as c
+from carina.case.scope_choice import document_with_scope
+from carina.errors import NoResultError, UsageError
+from carina.navigate.moves import LayScope
+from carina.navigate.recording import TaskOutcome, read_recording
+from carina.scopes import DEFAULT_SCOPE, WallField, scope_preset
+from carina.session.command_registry import CommandHandlers, answers, does
+from carina.session.derived.derived_value import Cached
+from carina.session.flights.recorded_flights import needed_flight, running_flight
+from carina.session.flights.recording import FlightRecorder
+from carina.session.jobs.background_jobs import Job
+from carina.session.open_case.open_case import OpenCase, as_point
+from carina.session.state.snapshot import UserMessage
+from carina.session.state.training import TaskInfo, TrainingInfo
+from carina.session.training.live_attempt import LiveAttempt
+from carina.session.training.scores import flight_score, references, task_infos, verdict_words
+from carina.track import Airways, AirwayTree
+from carina.training import Score, Task, find_task, flight_frames, score_flight, task_of_flight, task_to_json
+from carina.training.flight_frames import FlightOptics
+
+if TYPE_CHECKING:
+    from carina.session.core import SessionCore
+
+SAMPLE_S = 0.05
+"""Time between two samples of the tip."""
+SCORE_S = 1.0
+"""Time between two computations of the score of the running attempt."""
+ENTRY_MM = 5.0
+"""Insertion at which an attempt begins, so that the trachea's cut end is not in the picture."""
+NOT_STORED = "this case is not stored on this machine, so the flight of a task cannot be recorded: save the case first"
+AIRWAYS_CHANGED = "the airways have changed"
+SCOPE_REMOVED = "the scope was taken out of the airways"
+RECORDING_STOPPED = "the recording was stopped"
+
+
+@dataclass(slots=True)
+class _CaseTraining:
+    """Attempt and scores of the open case."""
+
+    case: OpenCase
+    attempt: LiveAttempt | None = None
+    scores: dict[int, Score] = field(default_factory=dict)
+    """Score of each flight that was scored since the case was opened, by its number."""
+
+
+class TrainingHandlers(CommandHandlers):
+    """Attempts at tasks, and the scores of recorded flights.
+
+    Parameters
+    ----------
+    core
+        Core of the session.
+    recorder
+        Recorder of flights.
+    text
+        Returns the lines of a flight by its number; the call may wait for the disk.
+    """
+
+    def __init__(self, core: SessionCore, recorder: FlightRecorder, text: Callable[[int], str]) -> None:
+        super().__init__(core)
+        self._recorder = recorder
+        self._text = text
+        self._state: _CaseTraining | None = None
+        self._suitable: Cached[AirwayTree | None, tuple[TaskInfo, ...]] = Cached(task_infos)
+
+    def _of(self, case: OpenCase) -> _CaseTraining:
+        """Return the attempt and the scores of a case; the caller holds the session's lock."""
+        if self._state is None or self._state.case is not case:
+            self._state = _CaseTraining(case)
+        return self._state
+
+    # ------------------------------------------------------------ the attempt
+
+    @does(c.StartTask)
+    def start(self, command: c.StartTask) -> None:
+        """Begin an attempt at a task, once the wall of the airways is computed.
+
+        Raises
+        ------
+        NoResultError
+            ``training.no-airways``: without airways. ``training.no-branch``, ``training.turns``,
+            ``training.no-segments``: if the case is unsuitable for the task.
+        UsageError
+            ``session.recording``: if a recording is running, or if the case is not stored.
+        """
+        case, task = self.core.needed_case(), find_task(command.task)
+        with self.core.lock:
+            airways = case.document.airways
+            if airways is None:
+                raise NoResultError("a task needs the airways: wait for the search", code="training.no-airways")
+            task.check_case(airways.tree)
+            if self._recorder.name is not None:
+                raise UsageError("a recording is running; stop it first", code="session.recording")
+            if not self.core.saving().keeps:
+                raise UsageError(NOT_STORED, code="session.recording")
+            case.wall.again()
+            case.wall.want(airways, then=lambda _: self._begin(case, airways, task))
+
+    def _begin(self, case: OpenCase, airways: Airways, task: Task) -> None:
+        """Insert the scope and start the recording; the caller holds the session's lock."""
+        wall = case.wall.of(airways)
+        if self.core.case is not case or case.document.airways is not airways or wall is None:
+            return
+        if self._of(case).attempt is not None or self._recorder.name is not None:
+            return
+        scope = scope_preset(task.scope or case.document.look.scope or DEFAULT_SCOPE)
+        changed = document_with_scope(case.document, scope.name, resets_view=True)
+        if changed is not case.document:
+            self.core.change(case, f"scope: {scope.title}", changed)
+        # The recording begins with a free tip, because a replay can only start from a scope that it inserts itself.
+        self.core.fly(c.SetMode("free"))
+        number = 1 + sum(one.name.startswith(f"{task.title}, attempt ") for one in case.flights.listed)
+        self._recorder.start(c.RecordFlight(name=f"{task.title}, attempt {number}"))
+        case.pilot.wall, case.pilot.wall_made_from = wall.field, wall.made_from
+        way = entry_way(airways.tree)
+        self.core.fly(LayScope(scope.name, way, ENTRY_MM))
+        case.scope.laid = scope.name
+        self._recorder.note_task(task_to_json(task))
+        flight = self._recorder.flight_number
+        assert flight is not None
+        look = case.document.look
+        optics = FlightOptics(scope, False, float(look.fov_deg), look.operator == "facing")
+        self._of(case).attempt = attempt = LiveAttempt(
+            task,
+            airways,
+            wall.field,
+            optics=optics,
+            flight=flight,
+            begun_s=self.core.clock(),
+            pose=case.navigator.pose,
+        )
+        self.core.changed("training", "flights", "state", "pose", "views")
+        threading.Thread(target=self._watch, args=(case, attempt), name="carina-attempt", daemon=True).start()
+
+    @does(c.StopTask)
+    def stop(self, _command: c.StopTask) -> None:
+        """End the attempt and score its flight; do nothing without an attempt."""
+        with self.core.lock:
+            case = self.core.needed_case()
+            attempt = self._of(case).attempt
+            if attempt is not None:
+                self._end(case, attempt, "stopped")
+
+    def _watch(self, case: OpenCase, attempt: LiveAttempt) -> None:
+        """Follow an attempt until it ends; runs in a thread of the attempt."""
+        while self.follow_attempt(case, attempt) and not attempt.ended.wait(SAMPLE_S):
+            pass
+
+    def follow_attempt(self, case: OpenCase, attempt: LiveAttempt) -> bool:
+        """Sample the tip, update the score once a second, and end an attempt that is over.
+
+        Returns whether the attempt continues. The score is computed without the session's lock.
+        """
+        with self.core.lock:
+            if not self._sample(case, attempt):
+                return False
+            now_s = self.core.clock()
+        if now_s - attempt.scored_s >= SCORE_S:
+            attempt.update_score(now_s)
+            with self.core.lock:
+                if self.core.case is case and self._of(case).attempt is attempt:
+                    self.core.changed("training")
+        return True
+
+    def _sample(self, case: OpenCase, attempt: LiveAttempt) -> bool:
+        """Add the present pose to an attempt, and end it where it is over; return whether it continues.
+
+        The caller holds the session's lock.
+        """
+        if self.core.case is not case or self._of(case).attempt is not attempt:
+            return False
+        now_s = self.core.clock()
+        attempt.sample(case.navigator.pose, now_s)
+        if self._recorder.flight_number != attempt.flight:
+            self._end(case, attempt, "interrupted", RECORDING_STOPPED)
+        elif case.document.airways is not attempt.airways:
+            self._end(case, attempt, "interrupted", AIRWAYS_CHANGED)
+        elif case.navigator.mode != "scope":
+            self._end(case, attempt, "interrupted", SCOPE_REMOVED)
+        elif attempt.is_completed:
+            self._end(case, attempt, "completed")
+        elif attempt.is_over(now_s):
+            self._end(case, attempt, "time-limit")
+        else:
+            return True
+        return False
+
+    def _end(self, case: OpenCase, attempt: LiveAttempt, outcome: TaskOutcome, reason: str | None = None) -> None:
+        """End an attempt, and score its flight; the caller holds the session's lock."""
+        self._of(case).attempt = None
+        attempt.ended.set()
+        if self._recorder.flight_number == attempt.flight:
+            self._recorder.note_task_end(outcome)
+            self._recorder.stop()
+        if reason is not None:
+            self.core.emit(UserMessage(f"the task ended early, and the attempt does not count: {reason}"))
+        self.core.changed("training", "flights", "state")
+        self._start_scoring(case, attempt.flight, attempt.task)
+
+    def follow(self, case: OpenCase) -> None:
+        """End the attempt after a change of the airways; the caller holds the session's lock."""
+        attempt = self._of(case).attempt
+        if attempt is not None and case.document.airways is not attempt.airways:
+            self._end(case, attempt, "interrupted", AIRWAYS_CHANGED)
+
+    # ------------------------------------------------------------ scores
+
+    @does(c.ScoreFlight)
+    def score(self, command: c.ScoreFlight) -> str:
+        """Score a recorded flight by a job.
+
+        Raises
+        ------
+        UsageError
+            ``session.flights``: if there is no such flight, or if it is being recorded. ``training.task``: if there is
+            no such task.
+        NoResultError
+            ``training.no-airways``: without airways.
+        """
+        case = self.core.needed_case()
+        task = None if command.task is None else find_task(command.task)
+        with self.core.lock:
+            flight = needed_flight(case, command.number)
+            if running_flight(case) == command.number:
+                raise UsageError(f"{flight.name} is still being recorded; stop it first", code="session.flights")
+            if case.document.airways is None:
+                raise NoResultError("a score needs the airways: wait for the search", code="training.no-airways")
+            return self._start_scoring(case, command.number, task)
+
+    def _start_scoring(self, case: OpenCase, number: int, task: Task | None) -> str:
+        """Start the job that scores a flight; the caller holds the session's lock."""
+        airways = case.document.airways
+        waiting = [one.unsaved_part() for one in case.flights.unwritten if one.number == number]
+
+        def work(job: Job) -> None:
+            if airways is None:
+                raise NoResultError("a score needs the airways: wait for the search", code="training.no-airways")
+            text = waiting[0][1] if waiting and waiting[0][0] == 0 else self._text(number)
+            recording = read_recording(io.StringIO(text), Path(f"flight {number}"))
+            with self.core.lock:
+                wall = case.wall.of(airways)
+            wall_mm: WallField
+            if wall is None:
+                wall_mm = self.core.parts.wall_field(
+                    case.info.volume, airways, progress=job.progress, cancel=job.cancel
+                )
+            else:
+                wall_mm = wall.field
+            chosen = task_of_flight(recording) if task is None else task
+            found = score_flight(airways.tree, wall_mm, flight_frames(recording), chosen, progress=job.progress)
+            with self.core.lock:
+                job.check()
+                self._of(case).scores[number] = found
+                self.core.changed("training")
+
+        return self.core.jobs.start("score", "scoring the flight", work)
+
+    @answers(c.TrainingOf)
+    def training_of(self, _question: c.TrainingOf) -> TrainingInfo:
+        """Return the tasks, the running attempt and the scores."""
+        case = self.core.case
+        if case is None:
+            return TrainingInfo()
+        with self.core.lock:
+            airways, state = case.document.airways, self._of(case)
+            tasks = self._suitable.of(None if airways is None else airways.tree)
+            numbers = [one.recording_id for one in case.flights.listed]
+            listed = [(number, state.scores[number]) for number in numbers if number in state.scores]
+            running = None if state.attempt is None else state.attempt.info(self.core.clock())
+        return TrainingInfo(
+            tasks=tasks,
+            running=running,
+            scores=tuple(flight_score(number, one) for number, one in listed),
+            verdict=verdict_words([one for _, one in listed]),
+            references=references(),
+        )
+
+
+def entry_way(tree: AirwayTree) -> tuple[tuple[float, float, float], ...]:
+    """Return the points (LPS mm) from the trachea's start into a main bronchus, along which the scope is inserted."""
+    children = [one for one in tree.branches if one.parent == tree.root.id]
+    end = max(children, key=lambda one: one.length_mm, default=tree.root).id
+    return tuple(as_point(point) for point in tree.route_to(end).points_lps)

@@ -1,0 +1,173 @@
+"""The running attempt at a task: the flight up to now, and its score."""
+
+from __future__ import annotations
+
+import math
+import threading
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from carina.errors import NoResultError
+from carina.scopes import Pose, WallField
+from carina.session.state.training import RunningTask
+from carina.track import Airways
+from carina.training import LANDMARKS, FlightEvent, FlightFrames, FlightScorer, Score, Task
+from carina.training.flight_frames import FRAME_HZ, FlightOptics
+
+MESSAGE_S = 3.0
+"""Time for which an event of the flight is shown."""
+WARNINGS = frozenset({"wrong-branch", "wrong-segment", "contact", "revisit"})
+"""Kinds of events that report a fault."""
+
+
+class LiveAttempt:
+    """An attempt at a task while it is flown.
+
+    The score is computed by the code that scores the recording afterwards, on frames that are sampled from the tip.
+    The score of the recording replaces it: a move between two samples counts there at its exact time.
+
+    Parameters
+    ----------
+    task, airways, wall
+        The task, and the airways of the case with their wall.
+    optics
+        Instrument and field of view.
+    flight
+        Number of the flight that is being recorded.
+    begun_s
+        Time of the beginning on the session's clock.
+    pose
+        Pose of the tip at the beginning.
+    """
+
+    def __init__(
+        self,
+        task: Task,
+        airways: Airways,
+        wall: WallField,
+        *,
+        optics: FlightOptics,
+        flight: int,
+        begun_s: float,
+        pose: Pose,
+    ) -> None:
+        self.task, self.airways, self.flight, self.begun_s = task, airways, flight, begun_s
+        self._optics = optics
+        self._scorer = FlightScorer(airways.tree, wall, task)
+        self._poses: list[NDArray[np.float64]] = [pose.lps_from_camera]
+        self._numbers = [0]
+        self._latest = pose
+        self.ended = threading.Event()
+        """Set when the attempt has ended."""
+        self.scored_s = begun_s
+        """Time of the newest score on the session's clock."""
+        self._score: Score | None = None
+
+    @property
+    def score(self) -> Score | None:
+        """The newest score; None while the tip has not been in the airways."""
+        return self._score
+
+    def elapsed_s(self, now_s: float) -> float:
+        """Return the time since the beginning of the attempt."""
+        return max(now_s - self.begun_s, 0.0)
+
+    def is_over(self, now_s: float) -> bool:
+        """Return whether the time limit has passed."""
+        limit_s = self.task.time_limit_s
+        start_s = 0.0 if self._score is None else self._score.clock_start_s
+        return limit_s is not None and self.elapsed_s(now_s) - start_s > limit_s
+
+    @property
+    def is_completed(self) -> bool:
+        """Whether the task was completed; an inspection continues until the user ends it."""
+        score = self._score
+        return score is not None and score.result.completed and self.task.kind != "inspect"
+
+    def sample(self, pose: Pose, now_s: float) -> None:
+        """Add the frames that are due with the present pose of the tip."""
+        num = math.floor(self.elapsed_s(now_s) * FRAME_HZ + 1e-6) + 1
+        is_new = pose is not self._latest
+        self._latest = pose
+        for _ in range(num - len(self._poses)):
+            self._poses.append(pose.lps_from_camera)
+            self._numbers.append(self._numbers[-1] + int(is_new))
+            is_new = False
+
+    def update_score(self, now_s: float) -> None:
+        """Compute the score of the sampled frames."""
+        self.scored_s = now_s
+        poses, numbers = np.stack(self._poses), np.array(self._numbers)
+        frames = FlightFrames(
+            poses,
+            numbers,
+            np.zeros(len(poses), dtype=np.int64),
+            (self._optics,),
+            True,
+            poses,
+            np.arange(len(poses)) / FRAME_HZ,
+        )
+        try:
+            self._score = self._scorer.score(frames)
+        except NoResultError:
+            self._score = None
+
+    def info(self, now_s: float) -> RunningTask:
+        """Return the state of the attempt for the windows."""
+        task, score = self.task, self._score
+        elapsed_s = self.elapsed_s(now_s)
+        base = RunningTask(task=task.name, flight=self.flight, elapsed_s=round(elapsed_s, 1), num_steps=0)
+        if score is None:
+            return base
+        latest = self._latest_event(score, elapsed_s)
+        return msgspec.structs.replace(
+            base,
+            num_steps=score.result.num_steps,
+            steps_done=score.result.steps_done,
+            next_step=self._next_step(score),
+            message=None if latest is None else self._event_words(latest),
+            is_warning=latest is not None and latest.kind in WARNINGS,
+        )
+
+    def _next_step(self, score: Score) -> str | None:
+        """Return the next step in the order of the task, unless it would name what the trainee must recognise."""
+        task, done = self.task, score.result.steps_done
+        if task.kind in {"sequence", "find"}:
+            # The title of the task names these segments.
+            return next((name for name in task.segments if name not in done), None)
+        if task.kind == "turns":
+            return next((name for name in task.branches if name not in done), None)
+        if task.kind == "inspect":
+            steps = [*([title for title, _ in LANDMARKS] if task.order == "landmarks" else []), *score.case_segments]
+            return next((name for name in steps if name not in done), None)
+        return None
+
+    def _latest_event(self, score: Score, elapsed_s: float) -> FlightEvent | None:
+        recent = [
+            one for one in score.events if one.kind in _EVENT_WORDS and elapsed_s - MESSAGE_S <= one.time_s <= elapsed_s
+        ]
+        # Of simultaneous events a fault is shown.
+        return max(recent, key=lambda one: (one.time_s, one.kind in WARNINGS), default=None)
+
+    def _event_words(self, event: FlightEvent) -> str:
+        words = _EVENT_WORDS[event.kind]
+        if event.kind == "contact":
+            return f"{words} at {event.detail}"
+        return f"{words}: {event.name}" if self.task.names_shown or event.kind not in _NAMING else words
+
+
+_EVENT_WORDS = {
+    "wrong-branch": "wrong branch",
+    "wrong-segment": "another segment",
+    "contact": "touching the wall",
+    "visit": "visited",
+    "revisit": "visited again",
+    "seen": "seen",
+    "landmark": "landmark",
+    "entered": "entered",
+    "held": "held",
+}
+_NAMING = frozenset({"wrong-branch", "wrong-segment"})
+"""Kinds of events whose name would tell the trainee of a task without names where the tip is."""

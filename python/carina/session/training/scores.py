@@ -1,0 +1,138 @@
+"""Scores of recorded flights as values for the windows."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from carina.errors import CarinaError
+from carina.session.state.training import (
+    FlightScore,
+    PublishedScores,
+    ReferenceScores,
+    ScoreMoment,
+    TaskInfo,
+    UnmarkedMeasures,
+)
+from carina.track import AirwayTree
+from carina.training import (
+    REFERENCE_GROUPS,
+    FlightEvent,
+    Score,
+    Task,
+    find_task,
+    judge_mastery,
+    segments_of_case,
+    task_names,
+)
+
+MAX_MOMENTS = 3
+_FAULTS = ("wrong-branch", "wrong-segment", "contact", "revisit")
+"""Kinds of faults, the first ones the most serious ones."""
+_FAULT_WORDS = {
+    "wrong-branch": "wrong branch",
+    "wrong-segment": "another segment",
+    "contact": "wall contact",
+    "revisit": "visited again",
+}
+
+
+def task_infos(tree: AirwayTree | None) -> tuple[TaskInfo, ...]:
+    """Return the built-in tasks, each with the reason why a case is unsuitable for it."""
+    return tuple(_task_info(find_task(name), tree) for name in task_names())
+
+
+def _task_info(task: Task, tree: AirwayTree | None) -> TaskInfo:
+    problem = None if tree is not None else "wait for the airways"
+    if tree is not None:
+        try:
+            task.check_case(tree)
+        except CarinaError as error:
+            problem = str(error)
+        if problem is None and not segments_of_case(tree):
+            problem = "no branch of this case has the name of a segment"
+    return TaskInfo(
+        task.name,
+        task.title,
+        task.level,
+        task.time_limit_s,
+        names_shown=task.names_shown,
+        tree_shown="tree" in task.hints,
+        problem=problem,
+    )
+
+
+def flight_score(flight: int, score: Score) -> FlightScore:
+    """Return the score of a flight for the windows."""
+    task, result = score.task, score.result
+    return FlightScore(
+        flight=flight,
+        task=task.name,
+        task_title=task.title,
+        is_inspection=task.kind == "inspect",
+        completed=result.completed,
+        num_steps_done=len(result.steps_done),
+        num_steps=result.num_steps,
+        num_wrong=result.num_wrong,
+        published=PublishedScores(
+            num_seen=score.diagnostic_completeness,
+            num_progressions=score.structured_progress,
+            time_s=score.procedure_time_s,
+            time_per_segment_s=score.mean_intersegmental_time_s,
+            num_revisited=score.segments_revisited,
+        ),
+        unmarked=UnmarkedMeasures(
+            path_mm=score.path_length_mm,
+            smoothness=score.smoothness,
+            num_contacts=len(score.contacts),
+            contact_s=score.contact_time_s,
+            red_out_s=score.red_out_s,
+            middle_share=score.lumen_in_middle,
+        ),
+        seen=score.segments_seen,
+        not_seen=tuple(name for name in score.case_segments if name not in score.segments_seen),
+        absent=score.segments_absent,
+        doubts=tuple(one.words for one in score.doubts),
+        notes=score.notes,
+        moments=worst_moments(score),
+    )
+
+
+def worst_moments(score: Score) -> tuple[ScoreMoment, ...]:
+    """Return at most three moments to replay, in the order of time: wrong branches first, then long contacts."""
+    lasted = {one.time_s: one.duration_s for one in score.contacts}
+
+    def seriousness(event: FlightEvent) -> tuple[int, float]:
+        return _FAULTS.index(event.kind), -lasted.get(event.time_s, 0.0)
+
+    faults = sorted((one for one in score.events if one.kind in _FAULTS), key=seriousness)[:MAX_MOMENTS]
+    return tuple(
+        ScoreMoment(one.time_s, _moment_words(one, lasted)) for one in sorted(faults, key=lambda one: one.time_s)
+    )
+
+
+def _moment_words(event: FlightEvent, lasted: dict[float, float]) -> str:
+    words = f"{_FAULT_WORDS[event.kind]}: {event.name}"
+    if event.kind == "contact":
+        words += f", {event.detail}, {lasted.get(event.time_s, 0.0):.1f} s"
+    return words
+
+
+def verdict_words(scores: Sequence[Score]) -> str | None:
+    """Return the verdict on mastery over the inspections among scores, in their order; None without one."""
+    inspections = [one for one in scores if one.task.kind == "inspect"]
+    return judge_mastery(inspections).words if inspections else None
+
+
+def references() -> tuple[ReferenceScores, ...]:
+    """Return the published values of groups, for comparison."""
+    return tuple(
+        ReferenceScores(
+            group=one.group,
+            num_seen=float(one.diagnostic_completeness),
+            num_progressions=float(one.structured_progress),
+            time_s=float(one.procedure_time_s),
+            time_per_segment_s=float(one.mean_intersegmental_time_s),
+            source=one.source,
+        )
+        for one in REFERENCE_GROUPS
+    )

@@ -1,0 +1,250 @@
+"""Tests of tasks in a session: start, progress, end, scores, and the ends that do not count."""
+
+from __future__ import annotations
+
+import dataclasses
+import threading
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import carina
+from cached_test_data import MASKED_CHEST, cached_airways, cached_phantom
+from carina.case.recordings import RecordingFacts
+from carina.commands import (
+    CloseCase,
+    FlightFileQuery,
+    OpenPath,
+    RecordFlight,
+    ScoreFlight,
+    SetMode,
+    StartTask,
+    Steer,
+    StopRecording,
+    StopTask,
+    TrainingOf,
+)
+from carina.errors import NoResultError, UsageError
+from carina.session import CaseRecords, Session, UserMessage, case_files, default_parts
+from carina.session.training.attempts import TrainingHandlers, entry_way
+from carina.training import find_task
+from small_case import Clock, SmallRenderer
+
+
+@pytest.fixture(scope="module")
+def chest():
+    volume, airways = cached_phantom(**MASKED_CHEST).volume, cached_airways(**MASKED_CHEST)
+    return volume, airways, carina.wall_field(volume, airways, spacing_mm=0.6, progress=False)
+
+
+class Workstation:
+    """Session with an open chest, whose attempts are followed by the test instead of a thread."""
+
+    def __init__(self, folder: Path, chest, monkeypatch) -> None:
+        volume, airways, wall = chest
+        self.clock = Clock()
+        self.attempts = []
+        monkeypatch.setattr(TrainingHandlers, "_watch", lambda handlers, *what: self.attempts.append((handlers, what)))
+        records = CaseRecords(folder / "cases", time.time)
+        self.session = Session(
+            SmallRenderer,
+            parts=dataclasses.replace(
+                default_parts(),
+                measure_tree=None,
+                open_volume=lambda _path, _progress, _cancel: volume,
+                find_airways=lambda _volume, **_options: airways,
+                wall_field=lambda *_what, **_options: wall,
+            ),
+            clock=self.clock,
+            records=records,
+            files=case_files(None, records),
+        )
+        self.messages = []
+        self.session.subscribe(lambda event: self.messages.append(event) if isinstance(event, UserMessage) else None)
+        self.session.do(OpenPath(str(folder)))
+        until(lambda: self.session.snapshot().airways == "found")
+        until(lambda: self.session.snapshot().saving.keeps)
+
+    @property
+    def info(self):
+        return self.session.ask(TrainingOf())
+
+    def scored(self, num: int = 1):
+        """Return the scores, once there are so many and no attempt runs."""
+        until(lambda: len(self.info.scores) >= num and self.info.running is None)
+        return self.info.scores
+
+    def start(self, task: str):
+        num = len(self.attempts)
+        self.session.do(StartTask(task))
+        until(lambda: len(self.attempts) > num)
+
+    def follow(self, seconds: float) -> bool:
+        """Let time pass, and follow the newest attempt; return whether it continues."""
+        handlers, (case, attempt) = self.attempts[-1]
+        for _ in range(round(seconds / 0.1)):
+            self.clock.advance(0.1)
+            if not handlers.follow_attempt(case, attempt):
+                return False
+        return True
+
+    def advance_tip(self, millimetres: float) -> None:
+        """Insert the scope evenly at 20 mm/s, followed at each step."""
+        for _ in range(round(millimetres / 2.0)):
+            self.session.do(Steer(2.0, 0.0, 0.0, 0.0))
+            if not self.follow(0.1):
+                return
+
+
+def until(condition, seconds=20.0):
+    """Wait for a condition of another thread."""
+    end = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < end
+        time.sleep(0.005)
+
+
+@pytest.fixture
+def workstation(tmp_path, chest, monkeypatch):
+    made = Workstation(tmp_path, chest, monkeypatch)
+    yield made
+    made.session.close()
+
+
+def flights(workstation) -> tuple[RecordingFacts, ...]:
+    return workstation.session.snapshot().flights
+
+
+def test_task_inserts_the_scope_records_the_flight_and_is_scored_when_the_user_ends_it(workstation):
+    workstation.start("inspect-all")
+    snapshot = workstation.session.snapshot()
+    assert snapshot.mode == "scope"
+    assert snapshot.document.look.scope is not None
+    running = workstation.info.running
+    assert (running.task, running.flight, running.elapsed_s) == ("inspect-all", flights(workstation)[0].number, 0.0)
+    workstation.advance_tip(60.0)
+    running = workstation.info.running
+    assert running.elapsed_s == pytest.approx(3.0)
+    assert running.num_steps == 18
+    assert running.next_step == "RB1"
+    workstation.session.do(StopTask())
+    assert workstation.info.running is None
+    (flight,) = flights(workstation)
+    assert flight.state == "complete"
+    assert flight.name == "Visit all segments (structured progress scores the ascending order), attempt 1"
+    (score,) = workstation.scored()
+    assert (score.flight, score.task, score.doubts) == (flight.number, "inspect-all", ())
+    assert score.published.time_s == pytest.approx(3.0, abs=0.11)
+    assert score.unmarked.path_mm == pytest.approx(60.0, abs=3.0)
+    assert len(score.seen) + len(score.not_seen) == 18
+    assert workstation.info.verdict.startswith("no verdict: it needs 6 attempts that count")
+
+
+def test_score_in_the_window_equals_the_score_of_the_recording(workstation, chest, tmp_path):
+    workstation.start("find-rb6")
+    workstation.advance_tip(40.0)
+    workstation.session.do(StopTask())
+    path = tmp_path / "flight.jsonl"
+    path.write_text(workstation.session.ask(FlightFileQuery(flights(workstation)[0].number)), encoding="utf-8")
+    volume, airways, wall = chest
+    again = carina.score_recording(volume, airways, path, wall=wall)
+    (shown,) = workstation.scored()
+    assert again.task.name == "find-rb6", "the recording states its task"
+    assert shown.published.time_s == again.procedure_time_s
+    assert shown.unmarked.path_mm == again.path_length_mm
+    assert shown.unmarked.middle_share == again.lumen_in_middle
+    assert shown.seen == again.segments_seen
+
+
+def test_task_ends_at_its_time_limit(workstation, monkeypatch):
+    limited = dataclasses.replace(find_task("find-rb6"), time_limit_s=2.0)
+    monkeypatch.setattr("carina.session.training.attempts.find_task", lambda _name: limited)
+    workstation.start("find-rb6")
+    assert workstation.follow(1.9)
+    assert not workstation.follow(1.5)
+    (score,) = workstation.scored()
+    assert score.published.time_s == pytest.approx(2.0, abs=0.11)
+    assert (score.completed, score.doubts) == (False, ())
+
+
+@pytest.mark.parametrize(
+    ("end", "reason"),
+    [
+        (lambda session: session.do(SetMode("free")), "the scope was taken out of the airways"),
+        (lambda session: session.do(StopRecording()), "the recording was stopped"),
+    ],
+)
+def test_task_that_ends_for_another_reason_is_scored_and_does_not_count(workstation, end, reason):
+    workstation.start("inspect-all")
+    workstation.advance_tip(20.0)
+    end(workstation.session)
+    assert not workstation.follow(0.2)
+    assert any(reason in one.message for one in workstation.messages)
+    assert workstation.info.running is None
+    (score,) = workstation.scored()
+    assert any("cut off" in words or "early" in words for words in score.doubts)
+
+
+def test_task_is_refused_during_a_recording_and_in_an_unsuitable_case(workstation, monkeypatch):
+    workstation.session.do(RecordFlight())
+    with pytest.raises(UsageError, match="a recording is running; stop it first"):
+        workstation.session.do(StartTask("inspect-all"))
+    workstation.session.do(StopRecording())
+    with pytest.raises(UsageError, match=r"task: expected one of find-lb6"):
+        workstation.session.do(StartTask("no-such-task"))
+    other = dataclasses.replace(find_task("hold-rul"), structure="No such branch")
+    monkeypatch.setattr("carina.session.training.attempts.find_task", lambda _name: other)
+    with pytest.raises(NoResultError, match="No such branch"):
+        workstation.session.do(StartTask("hold-rul"))
+    assert workstation.info.running is None
+
+
+def test_recorded_flight_without_a_task_is_scored_as_an_inspection_or_by_the_named_task(workstation):
+    workstation.session.do(RecordFlight())
+    workstation.clock.advance(1.0)
+    workstation.session.do(Steer(1.0, 0.0, 0.0, 0.0))
+    workstation.session.do(StopRecording())
+    number = flights(workstation)[0].number
+    workstation.session.do(ScoreFlight(number))
+    assert [one.task for one in workstation.scored()] == ["inspect-all"]
+    workstation.session.do(ScoreFlight(number, task="find-lb6"))
+    until(lambda: [one.task for one in workstation.info.scores] == ["find-lb6"])
+
+
+def test_attempts_of_one_task_are_numbered(workstation):
+    for _ in range(2):
+        workstation.start("find-lb6")
+        workstation.follow(0.3)
+        workstation.session.do(StopTask())
+        until(lambda: workstation.info.running is None)
+    assert [one.name for one in flights(workstation)] == ["Find LB6, attempt 1", "Find LB6, attempt 2"]
+
+
+def test_attempt_ends_when_the_case_is_closed(workstation):
+    workstation.start("find-lb6")
+    workstation.follow(0.3)
+    workstation.session.do(CloseCase())
+    assert not workstation.follow(0.1)
+    assert workstation.info == type(workstation.info)()
+
+
+def test_thread_of_an_attempt_ends_with_the_attempt(tmp_path, chest, monkeypatch):
+    watch = TrainingHandlers._watch
+    made = Workstation(tmp_path, chest, monkeypatch)
+    monkeypatch.setattr(TrainingHandlers, "_watch", watch)
+    try:
+        made.session.do(StartTask("find-lb6"))
+        until(lambda: any(one.name == "carina-attempt" for one in threading.enumerate()))
+        made.session.do(StopTask())
+        until(lambda: not any(one.name == "carina-attempt" for one in threading.enumerate()))
+    finally:
+        made.session.close()
+
+
+def test_way_of_entry_begins_in_the_trachea_and_ends_in_a_main_bronchus(chest):
+    tree = chest[1].tree
+    way = np.array(entry_way(tree))
+    assert np.allclose(way[0], tree.root.points[0])
+    assert tree.nearest_branch(way[-1])[0].parent == tree.root.id
