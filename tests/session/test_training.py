@@ -139,6 +139,7 @@ def test_task_inserts_the_scope_records_the_flight_and_is_scored_when_the_user_e
     assert score.published.time_s == pytest.approx(3.0, abs=0.11)
     assert score.unmarked.path_mm == pytest.approx(60.0, abs=3.0)
     assert len(score.seen) + len(score.not_seen) == 18
+    assert score.unmarked.num_contacts == 0, "the scope is inserted in the middle of the trachea"
     assert workstation.info.verdict.startswith("no verdict: it needs 6 attempts that count")
 
 

@@ -9,6 +9,7 @@ import "./app/styles/workstation.css";
 import "./app/styles/panels.css";
 import "./app/styles/start.css";
 import "./app/styles/saved-files.css";
+import "./app/styles/training.css";
 
 function socketAddress(): string {
   const address = new URL("./ws", location.href);

@@ -69,7 +69,7 @@ def attempt_doubts(
     """
     found = []
     if not frames.complete:
-        found.append(AttemptDoubt("incomplete", "the recording was cut off before the attempt ended"))
+        found.append(AttemptDoubt("incomplete", "the recording or the attempt was cut off before its end"))
     inside = np.flatnonzero(wall.distance_mm(frames.lps_from_tip[: last + 1, :3, 3]) > OUTSIDE_MM)
     if len(inside) and branch_ids[inside[0]] != tree.root.id:
         at_s = float(inside[0]) / FRAME_HZ

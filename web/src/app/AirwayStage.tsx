@@ -18,11 +18,12 @@ import type { OnwardBranch } from "../state/airways";
 import { pathMm, scopeOf } from "../state/app-state";
 import { kindText } from "../state/branch-text";
 import { forkAhead } from "../state/fork";
-import { fixed, mm } from "../state/format";
+import { fixed, mm, sentence } from "../state/format";
 import { penOffText } from "../state/pen";
 import { distanceToRouteMm, turnBefore } from "../state/plan";
 import { nextStopMm, pastMm, placeText, sideText } from "../state/route";
 import { worksIn } from "../state/tools";
+import { type Attempt, attemptOf } from "../state/training";
 import { cameraFromMatrix, lookingUp } from "../state/vec";
 import { wallPointLines } from "../state/wall-point";
 import { clipPathOf, shapeOf } from "../views/outline";
@@ -43,6 +44,7 @@ export function AirwayStage() {
   const armed = useApp((state) => state.ui.armed);
   const markable = armed === null ? undefined : worksIn(armed, LEAD_VIEW) ? "yes" : "no";
   const station = useStation();
+  const attempt = useApp(attemptOf);
   return (
     <section className="airway-stage" aria-label="Airway view">
       <AirwayTools />
@@ -56,7 +58,7 @@ export function AirwayStage() {
         {shown ? (
           <>
             <RedOut />
-            <Readings />
+            {attempt === null ? <Readings /> : <AttemptReadings attempt={attempt} />}
             <FinderLabel />
             <EmptyLabel />
           </>
@@ -392,6 +394,27 @@ const AT_END_MM = 0.1;
 
 const directionText = ({ hour, noHour }: OnwardBranch): string =>
   hour === null ? (noHour ?? "straight ahead") : `${hour} o\u2019clock`;
+
+/** Render the state of the scope and the latest event of a running attempt; names only where the task shows them. */
+function AttemptReadings({ attempt }: { attempt: Attempt }) {
+  const name = useApp((state) => state.pose?.branch_name ?? null);
+  const { message, is_warning: isWarning } = attempt.running;
+  return (
+    <>
+      <div className="reading top-left" data-testid="hud">
+        {attempt.task.names_shown && name !== null ? <strong>{name}</strong> : null}
+      </div>
+      <div className="reading top-right numbers">
+        <ScopeReading />
+      </div>
+      <div className="reading bottom-left">
+        <span role="status" className={isWarning ? "warning-text" : undefined} data-testid="attempt-message">
+          {message === null ? "" : sentence(message)}
+        </span>
+      </div>
+    </>
+  );
+}
 
 /** Render the tip's branch, its position on the route and the fork ahead as text in the corners of the airway view. */
 function Readings() {

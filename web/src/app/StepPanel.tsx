@@ -1,6 +1,7 @@
 /** Panel of the current workflow step. Each step has one primary action. */
 
 import { STEP_TEXTS } from "../state/steps";
+import { attemptOf } from "../state/training";
 import { Citation } from "./Citation";
 import { useApp } from "./context";
 import { Jobs } from "./Jobs";
@@ -11,10 +12,12 @@ import { RehearseStep } from "./steps/RehearseStep";
 import { RouteStep } from "./steps/RouteStep";
 import { ShareStep } from "./steps/ShareStep";
 import { TargetStep } from "./steps/TargetStep";
+import { TrainStep } from "./steps/TrainStep";
 
 /** Render the panel of the current workflow step. */
 export function StepPanel() {
-  const step = useApp((state) => state.ui.step);
+  // During an attempt the other steps could end it, and would show what the task hides.
+  const step = useApp((state) => (attemptOf(state) === null ? state.ui.step : "train"));
   const citation = useApp((state) => state.session?.case?.citation ?? null);
   return (
     <section className="step-panel" aria-label={STEP_TEXTS[step].title}>
@@ -43,6 +46,8 @@ function body(step: keyof typeof STEP_TEXTS) {
       return <RouteStep />;
     case "rehearse":
       return <RehearseStep />;
+    case "train":
+      return <TrainStep />;
     case "share":
       return <ShareStep />;
   }

@@ -2,6 +2,7 @@
 
 import type { CSSProperties } from "react";
 import { choosesTargetIn } from "../state/app-state";
+import { attemptOf } from "../state/training";
 import { LEAD_VIEW } from "../wire/views";
 import { AirwayStage } from "./AirwayStage";
 import { BranchList } from "./BranchList";
@@ -15,6 +16,7 @@ import { DropChoice, MaskDialog } from "./MaskImport";
 import { PathBar } from "./PathBar";
 import { PlanAnswer, useAnswerShown } from "./PlanAnswer";
 import { SaveDialog } from "./SaveDialog";
+import { ScoreDialog } from "./ScoreDialog";
 import { SideViews } from "./SideViews";
 import { StatusBar } from "./StatusBar";
 import { StepPanel } from "./StepPanel";
@@ -33,6 +35,7 @@ export function WorkstationPage() {
   const watches = useApp((state) => state.watches);
   const choosesTarget = useApp((state) => choosesTargetIn(state.ui));
   const answered = useAnswerShown();
+  const attempt = useApp(attemptOf);
   const lost = useApp((state) => state.connection.status === "lost" || state.connection.status === "refused");
   return (
     <div
@@ -41,13 +44,14 @@ export function WorkstationPage() {
       data-full={full === null ? undefined : full === LEAD_VIEW ? "lead" : "side"}
       data-lost={lost || undefined}
       data-armed={armed ?? undefined}
+      data-attempt={attempt === null ? undefined : attempt.task.tree_shown ? "with-tree" : "alone"}
       data-choosing={choosesTarget ? "target" : undefined}
       style={armed === null ? undefined : ({ "--tool-cursor": cursorOf(armed) } as CSSProperties)}
     >
       <TopBar />
       <aside className="left-panel">
         <ContinuedBar />
-        {list === "history" ? <HistoryList /> : <BranchList />}
+        {attempt !== null ? null : list === "history" ? <HistoryList /> : <BranchList />}
         {watches ? <WatcherPanel /> : devicesOpen ? <DevicePanel /> : keysOpen ? <KeyFramePanel /> : <StepPanel />}
       </aside>
       <main className="pictures" data-answered={answered || undefined}>
@@ -55,12 +59,13 @@ export function WorkstationPage() {
         <AirwayStage />
         <SideViews />
       </main>
-      <PathBar />
+      {attempt === null ? <PathBar /> : null}
       <StatusBar />
       <DropChoice />
       <MaskDialog />
       <SaveDialog />
       <FilmDialog />
+      <ScoreDialog />
       <TargetComparisonDialog />
     </div>
   );

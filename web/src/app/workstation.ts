@@ -65,6 +65,8 @@ import { RefreshScheduler, wakeOnInput } from "./refresh-scheduler";
 import type { Station } from "./station";
 import { asConnection, SLABS, saveAs } from "./station-parts";
 
+/** Time before a moment at which its replay begins, s. */
+const REPLAY_BEFORE_S = 3;
 /** Movement along the route by one press of an arrow key on the ruler, mm. */
 const STEP_MM = 2;
 /** Interval at which frame rate and latency are shown, ms. */
@@ -424,6 +426,22 @@ export class Workstation implements Station {
       this.replayer.resetToStart();
     }
     this.replayer.toggle();
+  }
+
+  /** Begin an attempt at a task of the training. */
+  startTask(task: string): void {
+    this.flight.stopAuto();
+    this.pausePlaying();
+    this.disarm();
+    this.send({ type: "start_task", task });
+  }
+
+  /** Replay a flight from shortly before a moment. */
+  replayMoment(flight: number, atS: number): void {
+    this.ui({ openScore: null });
+    if (this.#flownFlight !== flight) this.playFlight(flight);
+    this.replayer.seek(Math.max(atS - REPLAY_BEFORE_S, 0));
+    if (!this.state.replaying.on) this.playFlight(flight);
   }
 
   #selectedFlight(): FlightInfo | null {

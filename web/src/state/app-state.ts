@@ -29,6 +29,7 @@ import {
   type StateMessage,
   type StatusMessage,
   type TargetMarkMessage,
+  type TrainingMessage,
   type ValueMessage,
   type ViewName,
   type WatchingMessage,
@@ -126,6 +127,10 @@ export interface Ui {
   readonly saveOpen: boolean;
   /** Whether the dialog that compares the targets is open. */
   readonly comparisonOpen: boolean;
+  /** Number of the flight whose score is shown; null if the dialog is closed. */
+  readonly openScore: number | null;
+  /** Number of the flight of the attempt that has just ended, until its score is known. */
+  readonly awaitedScore: number | null;
   /** Whether the dialog with all cases and their disk usage is open. */
   readonly storageOpen: boolean;
   /**
@@ -228,6 +233,8 @@ export interface AppState {
   readonly lungs: LungsMessage | null;
   /** Flights that were recorded in the case. */
   readonly flights: readonly FlightInfo[];
+  /** Tasks, the running attempt, and scores of flights; null until the server has sent them. */
+  readonly training: TrainingMessage | null;
   /** Commands executed on the case, and the number of those that are not undone. */
   readonly history: HistoryMessage | null;
   /** Playback of the flight through the key frames. */
@@ -285,6 +292,7 @@ export const INITIAL_STATE: AppState = {
   plans: null,
   lungs: null,
   flights: [],
+  training: null,
   history: null,
   playing: NOT_PLAYING,
   flownFlight: null,
@@ -312,6 +320,8 @@ export const INITIAL_STATE: AppState = {
     keyCardOpen: false,
     saveOpen: false,
     comparisonOpen: false,
+    openScore: null,
+    awaitedScore: null,
     storageOpen: false,
     continuedReadS: null,
     list: "airways",
@@ -485,6 +495,8 @@ function receive(state: AppState, message: ServerMessage): AppState {
       return { ...state, keyFrames: message };
     case "flights":
       return { ...state, flights: message.flights };
+    case "training":
+      return trainingChanged(state, message);
     case "history":
       return { ...state, history: message };
     case "watching":
@@ -492,6 +504,19 @@ function receive(state: AppState, message: ServerMessage): AppState {
     case "cluster":
       return { ...state, cluster: message };
   }
+}
+
+/** Return the state after a change of the training; after an attempt the score of its flight is opened. */
+function trainingChanged(state: AppState, training: TrainingMessage): AppState {
+  const before = state.training?.running ?? null;
+  const awaited = training.running === null && before !== null ? before.flight : state.ui.awaitedScore;
+  const isScored = awaited !== null && training.scores.some((score) => score.flight === awaited);
+  const ui: Ui = {
+    ...state.ui,
+    awaitedScore: isScored || training.running !== null ? null : awaited,
+    openScore: training.running === null && isScored ? awaited : state.ui.openScore,
+  };
+  return { ...state, training, ui };
 }
 
 function sessionChanged(state: AppState, session: StateMessage): AppState {
@@ -508,6 +533,7 @@ function sessionChanged(state: AppState, session: StateMessage): AppState {
       plans: null,
       lungs: null,
       flights: [],
+      training: null,
       history: null,
     };
     next = { ...next, speedMmS: null };
@@ -524,6 +550,8 @@ function sessionChanged(state: AppState, session: StateMessage): AppState {
         keysOpen: false,
         saveOpen: false,
         comparisonOpen: false,
+        openScore: null,
+        awaitedScore: null,
         step: "open",
       },
     };

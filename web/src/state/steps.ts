@@ -1,7 +1,7 @@
 /** The steps of the workflow from a CT to a rehearsed route, in order; the user can return to each step. */
 
 /** Names of the workflow steps in order. */
-export const STEPS = ["open", "check", "airways", "target", "route", "rehearse", "share"] as const;
+export const STEPS = ["open", "check", "airways", "target", "route", "rehearse", "train", "share"] as const;
 /** Name of a workflow step. */
 export type Step = (typeof STEPS)[number];
 
@@ -23,6 +23,7 @@ export const STEP_TEXTS: Readonly<Record<Step, StepTexts>> = {
     title: "Rehearse",
     words: "Rehearse the route with the diameter and bend of a real bronchoscope, and see where it touches the wall",
   },
+  train: { title: "Train", words: "Fly tasks with a simulated bronchoscope, and see your scores" },
   share: {
     title: "Share",
     words: "Save the surface, lumen and centrelines to files",

@@ -15,6 +15,7 @@ import { pointsBetween } from "../state/route";
 import type { Surface } from "../state/section";
 import { marksStructure, targetMarkLines } from "../state/target-mark";
 import { type Armed, isBrush, takesAway, wantsPath } from "../state/tools";
+import { attemptOf, hidesNames } from "../state/training";
 import { below, pointsFrom, type TreePlace } from "../state/tree-index";
 import { asVec3, type Camera, cameraFromMatrix, type Vec3 } from "../state/vec";
 import type { Grid } from "../state/volume";
@@ -234,6 +235,8 @@ function pointedAt(
   const held = fork === null ? undefined : tree?.byId.get(fork)?.branch.points.at(-1);
   return {
     ...parts,
+    // A task of the training may hide the names that the trainee must recognise.
+    ...(hidesNames(state) ? NO_NAMES : {}),
     uncertain: tree?.uncertain ?? [],
     hovered,
     selected,
@@ -241,7 +244,7 @@ function pointedAt(
     heldFork: held === undefined ? null : asVec3(held),
     preview: previewRuns.length === 0 ? null : { runs: previewRuns, faint: doubt === null && preview?.stale === true },
     live,
-    note: cursorNoteOf(state, hovered?.node ?? null),
+    note: hidesNames(state) ? null : cursorNoteOf(state, hovered?.node ?? null),
     brush: isBrush(ui.armed) ? { radiusMm: ui.brushMm, erase: takesAway(ui.armed) } : null,
     stroke: ui.stroke,
   };
@@ -373,6 +376,8 @@ function isSame(a: unknown, b: unknown, depth = 3): boolean {
  */
 const MAX_PARTS = 64;
 
+const NO_NAMES: Pick<Scene, "named" | "titled"> = { named: [], titled: [] };
+
 function buildScene(state: AppState): Scene {
   if (state.route !== cachedFor) {
     cachedFor = state.route;
@@ -386,7 +391,8 @@ function buildScene(state: AppState): Scene {
     followsTip: cross === null,
     route: state.route,
     routeRuns: cachedRuns,
-    routeLineVisible: state.ui.routeLineVisible,
+    // The route would show the way that the trainee must find.
+    routeLineVisible: state.ui.routeLineVisible && attemptOf(state) === null,
     outlineVisible: state.ui.outlineVisible,
     hiddenLayers: state.ui.hiddenLayers,
     stations: stationsSeen(

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 from carina import commands as c
 from carina.case.scope_choice import document_with_scope
 from carina.errors import NoResultError, UsageError
+from carina.navigate import FlightPath
 from carina.navigate.moves import LayScope
 from carina.navigate.recording import TaskOutcome, read_recording
 from carina.scopes import DEFAULT_SCOPE, WallField, scope_preset
@@ -19,6 +20,7 @@ from carina.session.command_registry import CommandHandlers, answers, does
 from carina.session.derived.derived_value import Cached
 from carina.session.flights.recorded_flights import needed_flight, running_flight
 from carina.session.flights.recording import FlightRecorder
+from carina.session.flights.tip_commands import place_pose
 from carina.session.jobs.background_jobs import Job
 from carina.session.open_case.open_case import OpenCase, as_point
 from carina.session.state.snapshot import UserMessage
@@ -118,12 +120,13 @@ class TrainingHandlers(CommandHandlers):
         changed = document_with_scope(case.document, scope.name, resets_view=True)
         if changed is not case.document:
             self.core.change(case, f"scope: {scope.title}", changed)
-        # The recording begins with a free tip, because a replay can only start from a scope that it inserts itself.
-        self.core.fly(c.SetMode("free"))
+        # The recording begins with a free tip at the entry, because a replay can only start from a scope that the
+        # recording inserts.
+        way = entry_way(airways.tree)
+        self.core.fly(place_pose(FlightPath(way).pose_at(ENTRY_MM)))
         number = 1 + sum(one.name.startswith(f"{task.title}, attempt ") for one in case.flights.listed)
         self._recorder.start(c.RecordFlight(name=f"{task.title}, attempt {number}"))
         case.pilot.wall, case.pilot.wall_made_from = wall.field, wall.made_from
-        way = entry_way(airways.tree)
         self.core.fly(LayScope(scope.name, way, ENTRY_MM))
         case.scope.laid = scope.name
         self._recorder.note_task(task_to_json(task))

@@ -25,6 +25,7 @@ from carina.training import (
     task_names,
 )
 
+LEVELS = ("beginner", "intermediate", "advanced")
 MAX_MOMENTS = 3
 _FAULTS = ("wrong-branch", "wrong-segment", "contact", "revisit")
 """Kinds of faults, the first ones the most serious ones."""
@@ -37,8 +38,9 @@ _FAULT_WORDS = {
 
 
 def task_infos(tree: AirwayTree | None) -> tuple[TaskInfo, ...]:
-    """Return the built-in tasks, each with the reason why a case is unsuitable for it."""
-    return tuple(_task_info(find_task(name), tree) for name in task_names())
+    """Return the built-in tasks, the easiest first, each with the reason why a case is unsuitable for it."""
+    tasks = sorted(map(find_task, task_names()), key=lambda task: (LEVELS.index(task.level), task.name))
+    return tuple(_task_info(task, tree) for task in tasks)
 
 
 def _task_info(task: Task, tree: AirwayTree | None) -> TaskInfo:

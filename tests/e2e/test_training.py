@@ -1,0 +1,64 @@
+"""Browser journey of a task: start it, fly with the names hidden, end it, read and print the score."""
+
+from __future__ import annotations
+
+import io
+
+import pypdf
+import pytest
+
+pytestmark = pytest.mark.browser
+
+WALL_MS = 900_000
+"""Limit for computing the wall distances of a case, ms."""
+FLIGHT_MS = 300_000
+"""Limit for a movement of the scope and for its score, ms."""
+
+
+@pytest.fixture
+def home(tmp_path):
+    return str(tmp_path / "home")
+
+
+def test_task_is_started_in_two_clicks_and_its_score_is_shown_and_printed(host, workstation, home):
+    running = host.open(demo="phantom", home=home)
+    page = workstation.page
+    page.set_viewport_size({"width": 1280, "height": 720})
+    workstation.open(running)
+    workstation.wait_ready()
+    page.get_by_role("button", name="Train", exact=True).click()
+    workstation.picture("training-tasks")
+    page.get_by_test_id("start-inspect-all").click()
+    page.wait_for_function("() => window.__carina.state.training.running !== null", timeout=WALL_MS)
+    page.wait_for_function("() => window.__carina.state.pose.mode === 'scope'", timeout=FLIGHT_MS)
+    # A task without names shows neither the names nor the other views.
+    page.get_by_test_id("stop-task").wait_for()
+    assert page.get_by_test_id("hud").inner_text() == ""
+    assert page.locator(".path-bar").count() == 0
+    assert not page.locator(".side-views").is_visible()
+    workstation.hold_until("w", "() => window.__carina.state.pose.scope.insertion_mm > 40")
+    page.wait_for_function("() => window.__carina.state.training.running.num_steps === 18", timeout=FLIGHT_MS)
+    assert "next: RB1" in page.get_by_test_id("attempt-progress").inner_text()
+    workstation.wait_still()
+    workstation.picture("training-attempt")
+    page.get_by_test_id("stop-task").click()
+    dialog = page.get_by_test_id("score-dialog")
+    dialog.wait_for(timeout=FLIGHT_MS)
+    text = dialog.inner_text()
+    assert "Not completed" in text
+    assert "Diagnostic completeness" in text
+    assert "not directly comparable" in text
+    workstation.picture("training-score")
+    shown = page.locator(".score-dialog > section")
+    assert shown.evaluate("(box) => box.scrollHeight <= box.clientHeight"), "complete at 1280 x 720"
+    pages = pypdf.PdfReader(io.BytesIO(page.pdf(format="A4"))).pages
+    assert len(pages) == 1
+    printed = pages[0].extract_text()
+    assert "Structured progress" in printed
+    assert "Rehearse" not in printed
+    page.keyboard.press("Escape")
+    dialog.wait_for(state="detached")
+    page.get_by_test_id("scores").get_by_role("button", name="Score", exact=True).click()
+    dialog.wait_for()
+    assert workstation.faults == []
+    host.close(running)

@@ -1,0 +1,157 @@
+/** Dialog with the score of a flight: the published scores, measures without a mark, segments, and faults to replay. */
+
+import { Dialog, Heading, Modal, ModalOverlay } from "react-aria-components";
+import { keyOf } from "../input/keymap";
+import { sentence } from "../state/format";
+import { clock } from "../state/playing";
+import { outcomeText, publishedRows, type ScoreRow, unmarkedRows } from "../state/training";
+import type { FlightScore } from "../wire/messages";
+import { useApp, useStation } from "./context";
+import { Act } from "./controls";
+import { Icon } from "./icons";
+
+/** Render the dialog with the score of the flight that the user has chosen, or that has just ended. */
+export function ScoreDialog() {
+  const station = useStation();
+  const open = useApp((state) => state.ui.openScore);
+  const score = useApp((state) => state.training?.scores.find(({ flight }) => flight === open) ?? null);
+  const close = () => station.ui({ openScore: null });
+  return (
+    <ModalOverlay className="dialog-back" isOpen={score !== null} isDismissable onOpenChange={close}>
+      <Modal className="dialog score-dialog">
+        <Dialog data-testid="score-dialog">
+          {score === null ? null : (
+            <>
+              <div className="dialog-head">
+                <Heading slot="title">{score.task_title}</Heading>
+                <Act label="Print" words="Print this score on one page" testId="print-score" onPress={() => print()} />
+                <Act kind="icon" icon="close" words="Close" keys={keyOf("leave")} onPress={close} />
+              </div>
+              <ScoreContent score={score} />
+            </>
+          )}
+        </Dialog>
+      </Modal>
+    </ModalOverlay>
+  );
+}
+
+function ScoreContent({ score }: { score: FlightScore }) {
+  const references = useApp((state) => state.training?.references ?? null) ?? [];
+  const verdict = useApp((state) => state.training?.verdict ?? null);
+  const name = useApp((state) => state.flights.find(({ number }) => number === score.flight)?.name ?? "");
+  return (
+    <div className="score-content">
+      <p>
+        <strong data-testid="score-outcome">{outcomeText(score)}</strong>. <span className="quiet">{name}</span>
+      </p>
+      {score.doubts.map((words) => (
+        <p key={words} className="warning-text" data-testid="score-doubt">
+          <Icon name="warning" /> Does not count: {words}
+        </p>
+      ))}
+      <div className="score-tables">
+        <div>
+          <table className="score-table numbers">
+            <thead>
+              <tr>
+                <th scope="col">Published scores</th>
+                <th scope="col">This flight</th>
+                {references.map(({ group, source }) => (
+                  <th scope="col" key={group} title={source}>
+                    {group}
+                  </th>
+                ))}
+              </tr>
+            </thead>
+            <tbody>
+              {publishedRows(score, references).map((row) => (
+                <Row key={row.title} row={row} />
+              ))}
+            </tbody>
+          </table>
+          {references.length === 0 ? null : (
+            <p className="quiet">
+              Columns at the right: {references[0]?.source}, measured with another system; not directly comparable, and
+              no pass marks.
+            </p>
+          )}
+        </div>
+        <div>
+          <table className="score-table numbers">
+            <thead>
+              <tr>
+                <th scope="col">Measures without a published threshold</th>
+                <th scope="col">This flight</th>
+              </tr>
+            </thead>
+            <tbody>
+              {unmarkedRows(score).map((row) => (
+                <Row key={row.title} row={row} />
+              ))}
+            </tbody>
+          </table>
+          <Moments score={score} />
+        </div>
+      </div>
+      <Segments title="Seen" names={score.seen} />
+      <Segments title="Not seen" names={score.not_seen} />
+      <Segments title="Not in this case" names={score.absent} />
+      {score.is_inspection && verdict !== null ? <p>{sentence(verdict)}</p> : null}
+      {score.notes.map((words) => (
+        <p key={words} className="quiet">
+          {sentence(words)}
+        </p>
+      ))}
+      <p className="quiet">A score is for training, and no assessment of a person. Definitions: docs/training.md</p>
+    </div>
+  );
+}
+
+/** Render a score with its definition below its title. */
+function Row({ row }: { row: ScoreRow }) {
+  return (
+    <tr>
+      <th scope="row" title={row.words}>
+        {row.title}
+        <span className="definition">{row.words}</span>
+      </th>
+      <td>{row.value}</td>
+      {row.references.map((value, n) => (
+        // The columns are those of the groups, in a fixed order.
+        // biome-ignore lint/suspicious/noArrayIndexKey: the order of the columns is fixed
+        <td key={n} className="quiet">
+          {value}
+        </td>
+      ))}
+    </tr>
+  );
+}
+
+function Segments({ title, names }: { title: string; names: readonly string[] }) {
+  return names.length === 0 ? null : (
+    <p>
+      <strong>{title}</strong>: {names.join(", ")}
+    </p>
+  );
+}
+
+function Moments({ score }: { score: FlightScore }) {
+  const station = useStation();
+  if (score.moments.length === 0) return null;
+  return (
+    <div className="score-moments">
+      <strong>To look at again</strong>
+      {score.moments.map(({ time_s, words }) => (
+        <Act
+          key={`${time_s} ${words}`}
+          icon="play"
+          label={`${clock(time_s)} ${words}`}
+          words="Replay the flight from 3 s before this moment"
+          testId="score-moment"
+          onPress={() => station.replayMoment(score.flight, time_s)}
+        />
+      ))}
+    </div>
+  );
+}

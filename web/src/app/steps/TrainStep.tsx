@@ -1,0 +1,166 @@
+import { useEffect, useState } from "react";
+import { fixed, sentence } from "../../state/format";
+import { clock } from "../../state/playing";
+import { type Attempt, attemptOf, outcomeText, progressText, timeText } from "../../state/training";
+import type { FlightScore, TaskInfo } from "../../wire/messages";
+import { useApp, useStation } from "../context";
+import { Act } from "../controls";
+import { Icon } from "../icons";
+import { ScopeSelect } from "../ScopeSelect";
+
+/** Render the panel of the Train step: the tasks and the scores, or the running attempt. */
+export function TrainStep() {
+  const training = useApp((state) => state.training);
+  const attempt = useApp(attemptOf);
+  if (attempt !== null) return <RunningAttempt attempt={attempt} />;
+  if (training === null) return null;
+  return (
+    <>
+      <p>
+        Choose a task to fly with a simulated bronchoscope. The flight is recorded in this case and scored by published
+        measures.
+      </p>
+      <ScopeSelect />
+      <ul className="key-list" aria-label="Tasks" data-testid="tasks">
+        {training.tasks.map((task) => (
+          <TaskRow key={task.name} task={task} />
+        ))}
+      </ul>
+      <Scores scores={training.scores} verdict={training.verdict} />
+    </>
+  );
+}
+
+function TaskRow({ task }: { task: TaskInfo }) {
+  const station = useStation();
+  const limit = task.time_limit_s === null ? "no time limit" : `${fixed(task.time_limit_s / 60)} min`;
+  return (
+    <li className="key task" data-testid={`task-${task.name}`}>
+      <div className="key-head">
+        <span className="flight-words">
+          <strong>{task.title}</strong>
+          <span className="quiet numbers">
+            {task.level}, {limit}
+            {task.names_shown ? "" : ", names hidden"}
+            {task.tree_shown ? ", with the tree" : ""}
+          </span>
+        </span>
+        <Act
+          kind="primary"
+          icon="play"
+          words={`Start: ${task.title}`}
+          disabled={task.problem !== null}
+          testId={`start-${task.name}`}
+          onPress={() => station.startTask(task.name)}
+        />
+      </div>
+      {task.problem === null ? null : <p className="warning-text">{sentence(task.problem)}</p>}
+    </li>
+  );
+}
+
+/** Render the progress of the attempt, its clock, and the button that ends it. */
+function RunningAttempt({ attempt }: { attempt: Attempt }) {
+  const station = useStation();
+  return (
+    <>
+      <p>
+        <strong data-testid="attempt-title">{attempt.task.title}</strong>
+      </p>
+      <AttemptClock attempt={attempt} />
+      <p data-testid="attempt-progress">{progressText(attempt)}</p>
+      {attempt.running.steps_done.length === 0 ? null : (
+        <p className="quiet">Done: {attempt.running.steps_done.join(", ")}</p>
+      )}
+      <Act
+        kind="primary"
+        icon="stop"
+        label="End the task"
+        words="End the attempt, and see its score"
+        testId="stop-task"
+        onPress={() => station.send({ type: "stop_task" })}
+      />
+      <p className="quiet">
+        <kbd>W</kbd> <kbd>S</kbd> advance and withdraw, <kbd>{"\u2191"}</kbd> <kbd>{"\u2193"}</kbd> bend the tip,{" "}
+        <kbd>A</kbd> <kbd>D</kbd> rotate. The attempt does not count if the scope is removed or the airways are edited.
+      </p>
+    </>
+  );
+}
+
+/** Interval at which the clock of an attempt is shown anew, ms. */
+const CLOCK_MS = 200;
+
+function AttemptClock({ attempt }: { attempt: Attempt }) {
+  const { running } = attempt;
+  const [since, setSince] = useState({ running, atMs: performance.now() });
+  const [nowMs, setNowMs] = useState(since.atMs);
+  if (since.running !== running) setSince({ running, atMs: performance.now() });
+  useEffect(() => {
+    const timer = setInterval(() => setNowMs(performance.now()), CLOCK_MS);
+    return () => clearInterval(timer);
+  }, []);
+  const elapsedS = running.elapsed_s + Math.max(nowMs - since.atMs, 0) / 1000;
+  return (
+    <p className="attempt-clock numbers" data-testid="attempt-clock">
+      {timeText(attempt, elapsedS)}
+    </p>
+  );
+}
+
+function Scores({ scores, verdict }: { scores: readonly FlightScore[]; verdict: string | null }) {
+  const station = useStation();
+  const flights = useApp((state) => state.flights);
+  const unscored = flights.filter(
+    ({ number, state }) => state !== "recording" && !scores.some(({ flight }) => flight === number),
+  );
+  const name = (number: number) => flights.find((one) => one.number === number)?.name ?? `Flight ${number}`;
+  return (
+    <>
+      <h3>Scores</h3>
+      {scores.length === 0 ? <p className="quiet">No flight has been scored since this case was opened.</p> : null}
+      <ul className="key-list" aria-label="Scores" data-testid="scores">
+        {scores.map((score) => (
+          <li key={score.flight} className="key">
+            <div className="key-head">
+              <span className="flight-words">
+                <strong>{name(score.flight)}</strong>
+                <span className="quiet numbers">
+                  {outcomeText(score)}, {clock(score.published.time_s)}
+                </span>
+              </span>
+              <Act
+                label="Score"
+                words={`Show the score of ${name(score.flight)}`}
+                testId={`score-${score.flight}`}
+                onPress={() => station.ui({ openScore: score.flight })}
+              />
+            </div>
+            {score.doubts.length === 0 ? null : (
+              <p className="warning-text">
+                <Icon name="warning" /> Does not count
+              </p>
+            )}
+          </li>
+        ))}
+        {unscored.map(({ number }) => (
+          <li key={number} className="key">
+            <div className="key-head">
+              <span className="flight-words">
+                <strong>{name(number)}</strong>
+                <span className="quiet">not scored yet</span>
+              </span>
+              <Act
+                label="Score it"
+                words={`Score ${name(number)} by its task, or as an inspection of all segments`}
+                testId={`score-flight-${number}`}
+                onPress={() => station.send({ type: "score_flight", number })}
+              />
+            </div>
+          </li>
+        ))}
+      </ul>
+      {verdict === null ? null : <p data-testid="mastery">{sentence(verdict)}</p>}
+    </>
+  );
+}

@@ -1,0 +1,128 @@
+import { describe, expect, it } from "vitest";
+import type { FlightScore, RunningTask, TaskInfo, TrainingMessage } from "../wire/messages";
+import { INITIAL_STATE, reduce } from "./app-state";
+import { attemptOf, hidesNames, outcomeText, progressText, publishedRows, timeText, unmarkedRows } from "./training";
+
+const TASK: TaskInfo = {
+  name: "inspect-all",
+  title: "Visit all segments",
+  level: "intermediate",
+  time_limit_s: 600,
+  names_shown: false,
+  tree_shown: false,
+  problem: null,
+};
+const RUNNING: RunningTask = {
+  task: "inspect-all",
+  flight: 3,
+  elapsed_s: 12,
+  num_steps: 18,
+  steps_done: ["RB1"],
+  next_step: "RB2",
+  message: null,
+  is_warning: false,
+};
+const SCORE: FlightScore = {
+  flight: 3,
+  task: "inspect-all",
+  task_title: "Visit all segments",
+  is_inspection: true,
+  completed: false,
+  num_steps_done: 2,
+  num_steps: 17,
+  num_wrong: 0,
+  published: { num_seen: 4, num_progressions: 2, time_s: 65, time_per_segment_s: 16.25, num_revisited: 1 },
+  unmarked: { path_mm: 900, smoothness: null, num_contacts: 2, contact_s: 1.5, red_out_s: 0, middle_share: 0.5 },
+  seen: ["RB1", "RB2", "RB3", "RB6"],
+  not_seen: Array.from({ length: 13 }, (_, n) => `segment ${n}`),
+  absent: ["RB7"],
+  doubts: [],
+  notes: [],
+  moments: [],
+};
+const message = (parts: Partial<TrainingMessage>): TrainingMessage => ({
+  type: "training",
+  tasks: [TASK],
+  running: null,
+  scores: [],
+  verdict: null,
+  references: [],
+  ...parts,
+});
+const stateAfter = (...messages: readonly TrainingMessage[]) =>
+  messages.reduce((state, one) => reduce(state, { kind: "server", message: one }), INITIAL_STATE);
+
+describe("a running attempt", () => {
+  it("hides names only while its task hides them", () => {
+    expect(hidesNames(INITIAL_STATE)).toBe(false);
+    expect(hidesNames(stateAfter(message({ running: RUNNING })))).toBe(true);
+    expect(hidesNames(stateAfter(message({ tasks: [{ ...TASK, names_shown: true }], running: RUNNING })))).toBe(false);
+  });
+
+  it("is the same object for the same message, as components require", () => {
+    const state = stateAfter(message({ running: RUNNING }));
+    expect(attemptOf(state)).not.toBeNull();
+    expect(attemptOf({ ...state })).toBe(attemptOf(state));
+  });
+
+  it("states its progress, the next step, and the time left", () => {
+    const attempt = attemptOf(stateAfter(message({ running: RUNNING })));
+    expect(attempt).not.toBeNull();
+    if (attempt === null) return;
+    expect(progressText(attempt)).toBe("1 of 18, next: RB2");
+    expect(timeText(attempt, 15)).toBe("9:45.0 left");
+    expect(timeText(attempt, 700)).toBe("0:00.0 left");
+    expect(timeText({ ...attempt, task: { ...TASK, time_limit_s: null } }, 15)).toBe("0:15.0");
+  });
+});
+
+describe("the score of an attempt", () => {
+  it("is opened once it is known, and not before", () => {
+    const ended = stateAfter(message({ running: RUNNING }), message({}));
+    expect(ended.ui.openScore).toBeNull();
+    const scored = reduce(ended, { kind: "server", message: message({ scores: [SCORE] }) });
+    expect(scored.ui.openScore).toBe(3);
+  });
+
+  it("is not opened for a flight that was scored without an attempt in this window", () => {
+    expect(stateAfter(message({ scores: [SCORE] })).ui.openScore).toBeNull();
+  });
+
+  it("states the denominator of the case beside 18", () => {
+    const rows = publishedRows(SCORE, []);
+    expect(rows[0]?.value).toBe("4 of 18; this case has 17");
+    const whole = { ...SCORE, not_seen: [...SCORE.not_seen, "RB7"], absent: [] };
+    expect(publishedRows(whole, [])[0]?.value).toBe("4 of 18");
+  });
+
+  it("shows published values beside published scores only", () => {
+    const group = {
+      group: "novices (10)",
+      num_seen: 9,
+      num_progressions: 2,
+      time_s: 281,
+      time_per_segment_s: 32,
+      source: "study",
+    };
+    expect(publishedRows(SCORE, [group]).map((row) => row.references)).toEqual([
+      ["9"],
+      ["2"],
+      ["4:41.0"],
+      ["32.0 s"],
+      [""],
+    ]);
+    expect(unmarkedRows(SCORE).every((row) => row.references.length === 0)).toBe(true);
+  });
+
+  it("names wrong segments only where a task has them", () => {
+    const titles = (score: FlightScore) => unmarkedRows(score).map((row) => row.title);
+    expect(titles(SCORE)).not.toContain("Wrong segments or branches");
+    expect(titles({ ...SCORE, is_inspection: false })).toContain("Wrong segments or branches");
+  });
+
+  it("states whether the task was completed", () => {
+    expect(outcomeText(SCORE)).toBe("Not completed: 2 of 17 steps");
+    expect(outcomeText({ ...SCORE, completed: true })).toBe("All segments of this case visited");
+    expect(outcomeText({ ...SCORE, completed: true, is_inspection: false })).toBe("Completed");
+  });
+});
