@@ -1,7 +1,7 @@
 // Generated from python/carina/commands and python/carina/server/wire/messages.py by
 // `python -m carina.server.wire.generate`. Do not edit.
 
-export const WIRE_VERSION = 6;
+export const WIRE_VERSION = 7;
 
 export const CLOSE_CODES = {
   "protocol.malformed": 4400,
