@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import zipfile
 
 import pypdf
 import pytest
@@ -56,6 +57,10 @@ def test_task_is_started_in_two_clicks_and_its_score_is_shown_and_printed(host, 
     printed = pages[0].extract_text()
     assert "Structured progress" in printed
     assert "Rehearse" not in printed
+    with page.expect_download() as waiting:
+        page.get_by_test_id("save-log").click()
+    with zipfile.ZipFile(waiting.value.path()) as archive:
+        assert sorted(archive.namelist()) == ["events.csv", "poses.csv", "scores.csv", "xapi.json"]
     page.keyboard.press("Escape")
     dialog.wait_for(state="detached")
     page.get_by_test_id("scores").get_by_role("button", name="Score", exact=True).click()

@@ -19,6 +19,7 @@ from carina.commands import (
     OpenPath,
     RecordFlight,
     ScoreFlight,
+    ScoreOf,
     SetMode,
     StartTask,
     Steer,
@@ -157,6 +158,7 @@ def test_score_in_the_window_equals_the_score_of_the_recording(workstation, ches
     assert shown.unmarked.path_mm == again.path_length_mm
     assert shown.unmarked.middle_share == again.lumen_in_middle
     assert shown.seen == again.segments_seen
+    assert workstation.session.ask(ScoreOf(shown.flight)).to_json() == again.to_json()
 
 
 def test_task_ends_at_its_time_limit(workstation, monkeypatch):

@@ -72,6 +72,15 @@ class TrainingOf(Query[Any], frozen=True):
     """Tasks, the running attempt, and scores of flights: a :class:`carina.session.TrainingInfo`."""
 
 
+class ScoreOf(Query[Any], frozen=True):
+    """Score of a flight that was scored since the case was opened: a :class:`carina.training.Score`.
+
+    UsageError (``session.flights``) if the flight has no score.
+    """
+
+    number: FlightNumber
+
+
 class CtFolder(Query[Any], frozen=True):
     """Path of the folder of the CT's DICOM files.
 

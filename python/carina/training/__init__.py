@@ -3,7 +3,7 @@
 from carina.training.attempt_checks import AttemptDoubt
 from carina.training.events import FlightEvent
 from carina.training.flight_frames import FlightFrames, flight_frames
-from carina.training.log_files import events_csv, poses_csv, scores_csv, write_flight_log, xapi_statements
+from carina.training.log_files import events_csv, flight_log, poses_csv, scores_csv, write_flight_log, xapi_statements
 from carina.training.mastery import REFERENCE_GROUPS, Mastery, ReferenceGroup, judge_mastery
 from carina.training.score import FlightScorer, Score, ScoredContact, score_flight, score_recording, task_of_flight
 from carina.training.segments import LANDMARKS, SEGMENTS, CaseSegment, segments_of_case
@@ -29,6 +29,7 @@ __all__ = [
     "events_csv",
     "find_task",
     "flight_frames",
+    "flight_log",
     "judge_mastery",
     "poses_csv",
     "score_flight",

@@ -175,11 +175,16 @@ def write_flight_log(folder: str | Path, score: Score, *, learner: str = "learne
     """
     place = Path(folder)
     place.mkdir(parents=True, exist_ok=True)
+    files = flight_log(score, learner=learner)
+    return tuple(write_whole(place / name, text.encode(), what=f"the log {name}") for name, text in files.items())
+
+
+def flight_log(score: Score, *, learner: str = "learner") -> dict[str, str]:
+    """Return the texts of the files that `write_flight_log` writes, by file name."""
     statements = json.dumps(xapi_statements(score, learner=learner), allow_nan=False, indent=2) + "\n"
-    files = {
+    return {
         "events.csv": events_csv(score),
         "poses.csv": poses_csv(score),
         "scores.csv": scores_csv(score),
         "xapi.json": statements,
     }
-    return tuple(write_whole(place / name, text.encode(), what=f"the log {name}") for name, text in files.items())

@@ -24,6 +24,13 @@ export function ScoreDialog() {
             <>
               <div className="dialog-head">
                 <Heading slot="title">{score.task_title}</Heading>
+                <Act
+                  icon="file"
+                  label="Save the log"
+                  words="Save events, poses and scores of this flight as CSV files, and as xAPI statements"
+                  testId="save-log"
+                  onPress={() => void station.takeFlightLog(score.flight)}
+                />
                 <Act label="Print" words="Print this score on one page" testId="print-score" onPress={() => print()} />
                 <Act kind="icon" icon="close" words="Close" keys={keyOf("leave")} onPress={close} />
               </div>

@@ -8,7 +8,15 @@ import { listenToKeys } from "../input/keyboard";
 import { type Action, WINDOWS } from "../input/keymap";
 import { Steering } from "../input/steering";
 import { WATCHERS_ACTIONS } from "../input/watchers-actions";
-import { DownloadError, fetchAirways, fetchFlight, fetchKeyFrames, fetchPlan, planAddress } from "../net/download";
+import {
+  DownloadError,
+  fetchAirways,
+  fetchFlight,
+  fetchFlightLog,
+  fetchKeyFrames,
+  fetchPlan,
+  planAddress,
+} from "../net/download";
 import { PictureBoard } from "../net/pictures";
 import { Stream, type StreamStatus } from "../net/stream";
 import { sendUpload, UploadError, type UploadFile } from "../net/upload";
@@ -373,6 +381,11 @@ export class Workstation implements Station {
   /** Download a recorded flight of the case, by its number. */
   async takeFlight(number: number): Promise<void> {
     await this.#take(() => fetchFlight(number, AbortSignal.timeout(DOWNLOAD_WITHIN_MS)));
+  }
+
+  /** Download the log of a scored flight. */
+  async takeFlightLog(number: number): Promise<void> {
+    await this.#take(() => fetchFlightLog(number, AbortSignal.timeout(DOWNLOAD_WITHIN_MS)));
   }
 
   /** Write the named file of the case; open the save dialog if the case has no named file. */

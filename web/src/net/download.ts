@@ -43,6 +43,11 @@ export function fetchFlight(number: number, signal: AbortSignal): Promise<{ name
   return fetchFile(`flight-${number}.jsonl`, signal, "flights/");
 }
 
+/** Download the log of a scored flight: events, poses and scores as CSV, and xAPI statements, in one zip file. */
+export function fetchFlightLog(number: number, signal: AbortSignal): Promise<{ name: string; blob: Blob }> {
+  return fetchFile(`flight-${number}-log.zip`, signal, "flights/");
+}
+
 /** Download a view as PNG, with the size and marks of the query. */
 export function fetchPicture(view: string, query: string, signal: AbortSignal): Promise<{ name: string; blob: Blob }> {
   return fetchFile(`${view}.png`, signal, "pictures/", `?${query}`);

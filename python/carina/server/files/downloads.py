@@ -1,9 +1,11 @@
-"""Downloads of the open case: airways, key frames and flights as files that are created on request."""
+"""Downloads of the open case as files made on request: airways, key frames, flights, logs of scored flights."""
 
 from __future__ import annotations
 
 import asyncio
+import io
 import threading
+import zipfile
 from collections.abc import Callable
 from pathlib import Path
 from shutil import rmtree
@@ -11,11 +13,12 @@ from typing import Any
 
 from starlette.responses import JSONResponse, Response
 
-from carina.commands import AirwaysQuery, FlightFileQuery, KeyFrameFileQuery
+from carina.commands import AirwaysQuery, FlightFileQuery, KeyFrameFileQuery, ScoreOf
 from carina.errors import CarinaError
 from carina.export import EXPORT_SUFFIXES, export_airways
 from carina.server.files.one_shot_file import OneShotFileResponse, new_folder
 from carina.session import Session
+from carina.training import Score, flight_log
 
 FILE_STEM = "airways"
 """Stem of every file name, which contains neither the patient nor the case."""
@@ -91,9 +94,31 @@ class Downloads:
         headers = {"cache-control": "no-store", "content-disposition": disposition}
         return Response(text, media_type="application/x-ndjson", headers=headers)
 
+    async def flight_log(self, number: int) -> Response:
+        """Return a response with the log of a scored flight as a zip file: CSV files and xAPI statements.
+
+        Raises
+        ------
+        CarinaError
+            If the flight has no score.
+        """
+        score = self._session.ask(ScoreOf(number))
+        content = await asyncio.to_thread(_zipped_log, score)
+        disposition = f'attachment; filename="{FLIGHT_STEM}-{number}-log.zip"'
+        headers = {"cache-control": "no-store", "content-disposition": disposition}
+        return Response(content, media_type="application/zip", headers=headers)
+
     def _make(self, path: Path, volume: Any, airways: Any, given_up: threading.Event) -> Path:
         try:
             return self._export(path, volume, airways)
         finally:
             if given_up.is_set():
                 rmtree(path.parent, ignore_errors=True)
+
+
+def _zipped_log(score: Score) -> bytes:
+    content = io.BytesIO()
+    with zipfile.ZipFile(content, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, text in flight_log(score).items():
+            archive.writestr(name, text)
+    return content.getvalue()

@@ -269,6 +269,16 @@ class TrainingHandlers(CommandHandlers):
 
         return self.core.jobs.start("score", "scoring the flight", work)
 
+    @answers(c.ScoreOf)
+    def score_of(self, question: c.ScoreOf) -> Score:
+        """Return the score of a flight."""
+        case = self.core.needed_case()
+        with self.core.lock:
+            found = self._of(case).scores.get(question.number)
+        if found is None:
+            raise UsageError("this flight has no score yet: score it first", code="session.flights")
+        return found
+
     @answers(c.TrainingOf)
     def training_of(self, _question: c.TrainingOf) -> TrainingInfo:
         """Return the tasks, the running attempt and the scores."""
