@@ -14,15 +14,19 @@ import carina
 from cached_test_data import MASKED_CHEST, cached_airways, cached_phantom
 from carina.case.recordings import RecordingFacts
 from carina.commands import (
+    AnswerQuiz,
     CloseCase,
     FlightFileQuery,
+    NextQuestion,
     OpenPath,
     RecordFlight,
     ScoreFlight,
     ScoreOf,
     SetMode,
+    StartQuiz,
     StartTask,
     Steer,
+    StopQuiz,
     StopRecording,
     StopTask,
     TrainingOf,
@@ -251,3 +255,41 @@ def test_way_of_entry_begins_in_the_trachea_and_ends_in_a_main_bronchus(chest):
     way = np.array(entry_way(tree))
     assert np.allclose(way[0], tree.root.points[0])
     assert tree.nearest_branch(way[-1])[0].parent == tree.root.id
+
+
+def test_quiz_places_the_tip_for_each_question_and_states_the_answer_after_that_of_the_trainee(workstation):
+    workstation.session.do(StartQuiz("name-opening", seed=4, num=2))
+    until(lambda: workstation.info.quiz is not None)
+    first = workstation.info.quiz
+    assert (first.number, first.num_questions, first.given, first.answer) == (1, 2, None, None)
+    pose = workstation.session.pose_info().pose
+    with pytest.raises(UsageError, match="answer this question first"):
+        workstation.session.do(NextQuestion())
+    with pytest.raises(UsageError, match=r"expected one of .*; found 'RMB'"):
+        workstation.session.do(AnswerQuiz("RMB"))
+    workstation.session.do(AnswerQuiz(first.choices[0]))
+    answered = workstation.info.quiz
+    assert answered.given == first.choices[0]
+    assert answered.num_right == (answered.given == answered.answer)
+    with pytest.raises(UsageError, match="answered already"):
+        workstation.session.do(AnswerQuiz(first.choices[1]))
+    workstation.session.do(NextQuestion())
+    second = workstation.info.quiz
+    assert (second.number, second.answer, second.is_over) == (2, None, False)
+    assert not np.allclose(workstation.session.pose_info().pose.position_lps, pose.position_lps)
+    workstation.session.do(AnswerQuiz(second.choices[0]))
+    assert workstation.info.quiz.is_over
+    with pytest.raises(UsageError, match="this was the last question"):
+        workstation.session.do(NextQuestion())
+    workstation.session.do(StopQuiz())
+    assert workstation.info.quiz is None
+    with pytest.raises(UsageError, match="no quiz is running"):
+        workstation.session.do(AnswerQuiz("RB1"))
+
+
+def test_task_ends_the_quiz(workstation):
+    workstation.session.do(StartQuiz("where-are-you"))
+    until(lambda: workstation.info.quiz is not None)
+    workstation.start("find-lb6")
+    assert workstation.info.quiz is None
+    workstation.session.do(StopTask())

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+from typing import Annotated, Literal
+
+from msgspec import Meta
+
 from carina.commands.fields import FlightNumber, OwnName
 from carina.commands.value import Command
 
@@ -26,3 +30,34 @@ class ScoreFlight(Command, frozen=True):
     number: FlightNumber
     task: OwnName | None = None
     """Name of a built-in task; null takes the task that the flight states, or else the inspection of all segments."""
+
+
+class StartQuiz(Command, frozen=True):
+    """Begin a quiz on the open case: place the tip for the first question.
+
+    The command is a job if the wall of the airways must be computed first.
+    """
+
+    kind: Literal["name-opening", "where-are-you"]
+    """Kind of the questions.
+
+    ``name-opening``: name the segment behind the opening in the middle. ``where-are-you``: name the segment of the tip.
+    """
+    seed: Annotated[int, Meta(ge=0, le=2**31)] = 0
+    """Seed of the questions and of their order."""
+    num: Annotated[int, Meta(ge=1, le=100)] = 10
+    """Largest number of questions."""
+
+
+class AnswerQuiz(Command, frozen=True):
+    """Answer the question of the running quiz; a second answer to one question is refused."""
+
+    name: OwnName
+
+
+class NextQuestion(Command, frozen=True):
+    """Place the tip for the next question of the quiz; after the last question the quiz remains with its result."""
+
+
+class StopQuiz(Command, frozen=True):
+    """End the quiz; nothing happens if none is running."""

@@ -29,7 +29,7 @@ from carina.session.state.snapshot import (
     UserMessage,
     WallPoint,
 )
-from carina.session.state.training import FlightScore, ReferenceScores, RunningTask, TaskInfo, TrainingInfo
+from carina.session.state.training import FlightScore, QuizInfo, ReferenceScores, RunningTask, TaskInfo, TrainingInfo
 from carina.session.store.attach_endpoint import AttachEndpoint
 from carina.session.store.disk_storage import case_files
 from carina.session.store.find_scan import CASE_SUFFIX, CaseScans, FoundScan, is_case_file
@@ -68,6 +68,7 @@ __all__ = [
     "PlannedTarget",
     "PlanningInfo",
     "PoseInfo",
+    "QuizInfo",
     "RecentCase",
     "ReferenceScores",
     "RendererFactory",

@@ -41,6 +41,7 @@ from carina.session.targets.planning import PlanHandlers
 from carina.session.targets.routing import RouteHandlers
 from carina.session.targets.target_edits import TargetHandlers
 from carina.session.training.attempts import TrainingHandlers
+from carina.session.training.quizzes import QuizHandlers
 from carina.session.view.look import LookHandlers
 from carina.session.view.questions import CaseQuestions
 
@@ -108,14 +109,15 @@ class Session:
         self._saving = Autosave(core, records, files)
         self._cases = CaseList(core, self._saving, recording.stop)
         core.saving = lambda: self._saving.info
-        training = TrainingHandlers(core, recording, self._saving.flight_text)
+        quizzes = QuizHandlers(core)
+        training = TrainingHandlers(core, recording, quizzes, self._saving.flight_text)
         opening = CaseOpener(core, finding, recording, holding, self._saving)
         # Order: a recording stores its time before other updates; packed airways are unpacked before other code reads
         # them.
         core.before_document += [recording.tick, editing.unfold]
         core.after_document += [
             editing.fold, measuring.follow, recording.note_view, holding.follow, keys.follow, finding.follow,
-            planning.follow, training.follow,
+            planning.follow, training.follow, quizzes.follow,
         ]  # fmt: skip
         core.after_sight += [recording.note_view]
         looking = LookHandlers(core)
@@ -124,7 +126,7 @@ class Session:
             SecondCtHandlers(core, self._saving),
             finding, editing, keys, recording,
             FlightHandlers(core, self._saving.flight_text), FilmHandlers(core, self._saving.flight_text),
-            training,
+            training, quizzes,
             VerdictDriveHandlers(core),
             self._devices, holding, self._saving, self._cases, CaseQuestions(core),
             ObserverHandlers(core, finding, holding, self._saving),

@@ -5,6 +5,7 @@ from carina.training.events import FlightEvent
 from carina.training.flight_frames import FlightFrames, flight_frames
 from carina.training.log_files import events_csv, flight_log, poses_csv, scores_csv, write_flight_log, xapi_statements
 from carina.training.mastery import REFERENCE_GROUPS, Mastery, ReferenceGroup, judge_mastery
+from carina.training.quiz import QuizKind, QuizQuestion, quiz_questions
 from carina.training.score import FlightScorer, Score, ScoredContact, score_flight, score_recording, task_of_flight
 from carina.training.segments import LANDMARKS, SEGMENTS, CaseSegment, segments_of_case
 from carina.training.task import Task
@@ -21,6 +22,8 @@ __all__ = [
     "FlightFrames",
     "FlightScorer",
     "Mastery",
+    "QuizKind",
+    "QuizQuestion",
     "ReferenceGroup",
     "Score",
     "ScoredContact",
@@ -32,6 +35,7 @@ __all__ = [
     "flight_log",
     "judge_mastery",
     "poses_csv",
+    "quiz_questions",
     "score_flight",
     "score_recording",
     "scores_csv",

@@ -23,7 +23,7 @@ import { penOffText } from "../state/pen";
 import { distanceToRouteMm, turnBefore } from "../state/plan";
 import { nextStopMm, pastMm, placeText, sideText } from "../state/route";
 import { worksIn } from "../state/tools";
-import { type Attempt, attemptOf } from "../state/training";
+import { type Attempt, attemptOf, quizOf } from "../state/training";
 import { cameraFromMatrix, lookingUp } from "../state/vec";
 import { wallPointLines } from "../state/wall-point";
 import { clipPathOf, shapeOf } from "../views/outline";
@@ -45,6 +45,7 @@ export function AirwayStage() {
   const markable = armed === null ? undefined : worksIn(armed, LEAD_VIEW) ? "yes" : "no";
   const station = useStation();
   const attempt = useApp(attemptOf);
+  const quiz = useApp((state) => quizOf(state) !== null);
   return (
     <section className="airway-stage" aria-label="Airway view">
       <AirwayTools />
@@ -58,7 +59,7 @@ export function AirwayStage() {
         {shown ? (
           <>
             <RedOut />
-            {attempt === null ? <Readings /> : <AttemptReadings attempt={attempt} />}
+            {attempt !== null ? <AttemptReadings attempt={attempt} /> : quiz ? null : <Readings />}
             <FinderLabel />
             <EmptyLabel />
           </>

@@ -1,7 +1,7 @@
 /** Panel of the current workflow step. Each step has one primary action. */
 
 import { STEP_TEXTS } from "../state/steps";
-import { attemptOf } from "../state/training";
+import { trainingLayout } from "../state/training";
 import { Citation } from "./Citation";
 import { useApp } from "./context";
 import { Jobs } from "./Jobs";
@@ -16,8 +16,8 @@ import { TrainStep } from "./steps/TrainStep";
 
 /** Render the panel of the current workflow step. */
 export function StepPanel() {
-  // During an attempt the other steps could end it, and would show what the task hides.
-  const step = useApp((state) => (attemptOf(state) === null ? state.ui.step : "train"));
+  // During an attempt or a quiz the other steps could end it, and would show what the task hides.
+  const step = useApp((state) => (trainingLayout(state) === undefined ? state.ui.step : "train"));
   const citation = useApp((state) => state.session?.case?.citation ?? null);
   return (
     <section className="step-panel" aria-label={STEP_TEXTS[step].title}>

@@ -2,7 +2,7 @@
 
 import type { CSSProperties } from "react";
 import { choosesTargetIn } from "../state/app-state";
-import { attemptOf } from "../state/training";
+import { trainingLayout } from "../state/training";
 import { LEAD_VIEW } from "../wire/views";
 import { AirwayStage } from "./AirwayStage";
 import { BranchList } from "./BranchList";
@@ -35,7 +35,7 @@ export function WorkstationPage() {
   const watches = useApp((state) => state.watches);
   const choosesTarget = useApp((state) => choosesTargetIn(state.ui));
   const answered = useAnswerShown();
-  const attempt = useApp(attemptOf);
+  const training = useApp(trainingLayout);
   const lost = useApp((state) => state.connection.status === "lost" || state.connection.status === "refused");
   return (
     <div
@@ -44,14 +44,14 @@ export function WorkstationPage() {
       data-full={full === null ? undefined : full === LEAD_VIEW ? "lead" : "side"}
       data-lost={lost || undefined}
       data-armed={armed ?? undefined}
-      data-attempt={attempt === null ? undefined : attempt.task.tree_shown ? "with-tree" : "alone"}
+      data-attempt={training}
       data-choosing={choosesTarget ? "target" : undefined}
       style={armed === null ? undefined : ({ "--tool-cursor": cursorOf(armed) } as CSSProperties)}
     >
       <TopBar />
       <aside className="left-panel">
         <ContinuedBar />
-        {attempt !== null ? null : list === "history" ? <HistoryList /> : <BranchList />}
+        {training !== undefined ? null : list === "history" ? <HistoryList /> : <BranchList />}
         {watches ? <WatcherPanel /> : devicesOpen ? <DevicePanel /> : keysOpen ? <KeyFramePanel /> : <StepPanel />}
       </aside>
       <main className="pictures" data-answered={answered || undefined}>
@@ -59,7 +59,7 @@ export function WorkstationPage() {
         <AirwayStage />
         <SideViews />
       </main>
-      {attempt === null ? <PathBar /> : null}
+      {training === undefined ? <PathBar /> : null}
       <StatusBar />
       <DropChoice />
       <MaskDialog />

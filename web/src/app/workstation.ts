@@ -60,6 +60,7 @@ import type {
   PickedMessage,
   PictureHeader,
   PoseMessage,
+  QuizInfo,
   ViewName,
 } from "../wire/messages";
 import { type CellName, LEAD_VIEW, VIEWS } from "../wire/views";
@@ -447,6 +448,14 @@ export class Workstation implements Station {
     this.pausePlaying();
     this.disarm();
     this.send({ type: "start_task", task });
+  }
+
+  /** Begin a quiz with questions in a new random order. */
+  startQuiz(kind: QuizInfo["kind"]): void {
+    this.flight.stopAuto();
+    this.pausePlaying();
+    this.disarm();
+    this.send({ type: "start_quiz", kind, seed: Math.floor(Math.random() * 2 ** 31) });
   }
 
   /** Replay a flight from shortly before a moment. */

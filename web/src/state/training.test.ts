@@ -1,7 +1,17 @@
 import { describe, expect, it } from "vitest";
-import type { FlightScore, RunningTask, TaskInfo, TrainingMessage } from "../wire/messages";
+import type { FlightScore, QuizInfo, RunningTask, TaskInfo, TrainingMessage } from "../wire/messages";
 import { INITIAL_STATE, reduce } from "./app-state";
-import { attemptOf, hidesNames, outcomeText, progressText, publishedRows, timeText, unmarkedRows } from "./training";
+import {
+  answerText,
+  attemptOf,
+  hidesNames,
+  outcomeText,
+  progressText,
+  publishedRows,
+  timeText,
+  trainingLayout,
+  unmarkedRows,
+} from "./training";
 
 const TASK: TaskInfo = {
   name: "inspect-all",
@@ -44,6 +54,7 @@ const message = (parts: Partial<TrainingMessage>): TrainingMessage => ({
   type: "training",
   tasks: [TASK],
   running: null,
+  quiz: null,
   scores: [],
   verdict: null,
   references: [],
@@ -73,6 +84,32 @@ describe("a running attempt", () => {
     expect(timeText(attempt, 15)).toBe("9:45.0 left");
     expect(timeText(attempt, 700)).toBe("0:00.0 left");
     expect(timeText({ ...attempt, task: { ...TASK, time_limit_s: null } }, 15)).toBe("0:15.0");
+  });
+});
+
+describe("a quiz", () => {
+  const quiz: QuizInfo = {
+    kind: "name-opening",
+    number: 1,
+    num_questions: 10,
+    choices: ["RB6", "RB7"],
+    num_right: 0,
+    given: null,
+    answer: null,
+    is_over: false,
+  };
+
+  it("hides names and shows the airway view alone", () => {
+    const state = stateAfter(message({ quiz }));
+    expect(hidesNames(state)).toBe(true);
+    expect(trainingLayout(state)).toBe("alone");
+    expect(trainingLayout(INITIAL_STATE)).toBeUndefined();
+  });
+
+  it("states the right name after a wrong answer, and nothing before the answer", () => {
+    expect(answerText(quiz)).toBeNull();
+    expect(answerText({ ...quiz, given: "RB7", answer: "RB6" })).toBe("No: this is RB6, not RB7");
+    expect(answerText({ ...quiz, given: "RB6", answer: "RB6" })).toBe("Right: RB6");
   });
 });
 

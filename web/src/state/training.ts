@@ -1,6 +1,6 @@
 /** Training: the running attempt, and the rows of the score table with their definitions. */
 
-import type { FlightScore, ReferenceScores, RunningTask, TaskInfo, TrainingMessage } from "../wire/messages";
+import type { FlightScore, QuizInfo, ReferenceScores, RunningTask, TaskInfo, TrainingMessage } from "../wire/messages";
 import type { AppState } from "./app-state";
 import { fixed, mm } from "./format";
 import { clock } from "./playing";
@@ -26,8 +26,29 @@ export function attemptOf({ training }: AppState): Attempt | null {
   return attempt;
 }
 
-/** Return whether an attempt runs whose task hides the names of branches. */
-export const hidesNames = (state: AppState): boolean => attemptOf(state)?.task.names_shown === false;
+/** Return whether an attempt whose task hides the names of branches, or a quiz about these names, is running. */
+export const hidesNames = (state: AppState): boolean =>
+  attemptOf(state)?.task.names_shown === false || quizOf(state) !== null;
+
+/** Return the running quiz; null without one. */
+export const quizOf = ({ training }: AppState): QuizInfo | null => training?.quiz ?? null;
+
+/** Return what the window shows during an attempt or a quiz: the airway view alone or with the tree; null otherwise. */
+export function trainingLayout(state: AppState): "alone" | "with-tree" | undefined {
+  const attempt = attemptOf(state);
+  if (attempt !== null) return attempt.task.tree_shown ? "with-tree" : "alone";
+  return quizOf(state) === null ? undefined : "alone";
+}
+
+/** Return the question of a quiz as text. */
+export const questionText = ({ kind }: QuizInfo): string =>
+  kind === "name-opening" ? "Which segment is behind the opening in the middle?" : "In which segment is the tip?";
+
+/** Return whether the answer to the present question is right, as text; null before the answer. */
+export function answerText({ given, answer }: QuizInfo): string | null {
+  if (given === null || answer === null) return null;
+  return given === answer ? `Right: ${answer}` : `No: this is ${answer}, not ${given}`;
+}
 
 /** Return the step that follows in the order of the task, or the progress, as a text for the trainee. */
 export function progressText({ running }: Attempt): string {

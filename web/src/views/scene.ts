@@ -15,7 +15,7 @@ import { pointsBetween } from "../state/route";
 import type { Surface } from "../state/section";
 import { marksStructure, targetMarkLines } from "../state/target-mark";
 import { type Armed, isBrush, takesAway, wantsPath } from "../state/tools";
-import { attemptOf, hidesNames } from "../state/training";
+import { hidesNames, trainingLayout } from "../state/training";
 import { below, pointsFrom, type TreePlace } from "../state/tree-index";
 import { asVec3, type Camera, cameraFromMatrix, type Vec3 } from "../state/vec";
 import type { Grid } from "../state/volume";
@@ -392,7 +392,7 @@ function buildScene(state: AppState): Scene {
     route: state.route,
     routeRuns: cachedRuns,
     // The route would show the way that the trainee must find.
-    routeLineVisible: state.ui.routeLineVisible && attemptOf(state) === null,
+    routeLineVisible: state.ui.routeLineVisible && trainingLayout(state) === undefined,
     outlineVisible: state.ui.outlineVisible,
     hiddenLayers: state.ui.hiddenLayers,
     stations: stationsSeen(

@@ -726,6 +726,32 @@ export interface ScoreFlightMessage {
   readonly task?: string | null;
 }
 
+/** Begin a quiz on the open case: place the tip for the first question.
+
+    The command is a job if the wall of the airways must be computed first. */
+export interface StartQuizMessage {
+  readonly type: "start_quiz";
+  readonly kind: "name-opening" | "where-are-you";
+  readonly seed?: number;
+  readonly num?: number;
+}
+
+/** Answer the question of the running quiz; a second answer to one question is refused. */
+export interface AnswerQuizMessage {
+  readonly type: "answer_quiz";
+  readonly name: string;
+}
+
+/** Place the tip for the next question of the quiz; after the last question the quiz remains with its result. */
+export interface NextQuestionMessage {
+  readonly type: "next_question";
+}
+
+/** End the quiz; nothing happens if none is running. */
+export interface StopQuizMessage {
+  readonly type: "stop_quiz";
+}
+
 /** First message of a client. */
 export interface ClientHelloMessage {
   readonly type: "hello";
@@ -1859,6 +1885,18 @@ export interface RunningTask {
   readonly is_warning: boolean;
 }
 
+/** A running quiz: its present question, and the answers so far. */
+export interface QuizInfo {
+  readonly kind: "name-opening" | "where-are-you";
+  readonly number: number;
+  readonly num_questions: number;
+  readonly choices: readonly string[];
+  readonly num_right: number;
+  readonly given: string | null;
+  readonly answer: string | null;
+  readonly is_over: boolean;
+}
+
 /** The published scores of an attempt; docs/training.md defines each of them and names its source. */
 export interface PublishedScores {
   readonly num_seen: number;
@@ -1914,11 +1952,14 @@ export interface ReferenceScores {
   readonly source: string;
 }
 
-/** Tasks, the running attempt, and scores of flights; sent after each change, and each second during an attempt. */
+/** Tasks, the running attempt or quiz, and scores of flights.
+
+    Sent after each change, and each second during an attempt. */
 export interface TrainingMessage {
   readonly type: "training";
   readonly tasks: readonly TaskInfo[];
   readonly running: RunningTask | null;
+  readonly quiz: QuizInfo | null;
   readonly scores: readonly FlightScore[];
   readonly verdict: string | null;
   readonly references: readonly ReferenceScores[];
@@ -2301,6 +2342,10 @@ export type ClientMessage =
   | StartTaskMessage
   | StopTaskMessage
   | ScoreFlightMessage
+  | StartQuizMessage
+  | AnswerQuizMessage
+  | NextQuestionMessage
+  | StopQuizMessage
   | ClientHelloMessage
   | OpenUploadMessage
   | ImportMaskMessage

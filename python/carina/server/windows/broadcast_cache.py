@@ -135,7 +135,7 @@ class SharedTexts:
         """Return the encoded tasks, running attempt and scores of the open case."""
         info = self._session.ask(TrainingOf())
         return wire.encode_message(
-            wire.TrainingMessage(info.tasks, info.running, info.scores, info.verdict, info.references)
+            wire.TrainingMessage(info.tasks, info.running, info.quiz, info.scores, info.verdict, info.references)
         )
 
     def flights(self) -> str:

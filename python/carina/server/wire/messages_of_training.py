@@ -8,14 +8,18 @@ from msgspec import Meta
 
 from carina.commands.fields import Words
 from carina.server.wire.codec import ServerMessage
-from carina.session import FlightScore, ReferenceScores, RunningTask, TaskInfo
+from carina.session import FlightScore, QuizInfo, ReferenceScores, RunningTask, TaskInfo
 
 
 class TrainingMessage(ServerMessage, frozen=True):
-    """Tasks, the running attempt, and scores of flights; sent after each change, and each second during an attempt."""
+    """Tasks, the running attempt or quiz, and scores of flights.
+
+    Sent after each change, and each second during an attempt.
+    """
 
     tasks: Annotated[tuple[TaskInfo, ...], Meta(max_length=1000)]
     running: RunningTask | None
+    quiz: QuizInfo | None
     scores: Annotated[tuple[FlightScore, ...], Meta(max_length=100_000)]
     """Scores of the flights that were scored since the case was opened, in the order of the flights."""
     verdict: Words | None

@@ -116,11 +116,30 @@ class ReferenceScores(FrozenValue, frozen=True):
     source: Words
 
 
+class QuizInfo(FrozenValue, frozen=True):
+    """A running quiz: its present question, and the answers so far."""
+
+    kind: Literal["name-opening", "where-are-you"]
+    number: Count
+    """Number of the present question, from 1."""
+    num_questions: Count
+    choices: tuple[Words, ...]
+    num_right: Count
+    """Number of right answers so far."""
+    given: Words | None = None
+    """Answer of the trainee to the present question; null before it."""
+    answer: Words | None = None
+    """The right answer; null until the trainee has answered."""
+    is_over: bool = False
+    """Whether all questions are answered."""
+
+
 class TrainingInfo(FrozenValue, frozen=True):
-    """Tasks, the running attempt, and scores of flights of the open case."""
+    """Tasks, the running attempt or quiz, and scores of flights of the open case."""
 
     tasks: tuple[TaskInfo, ...] = ()
     running: RunningTask | None = None
+    quiz: QuizInfo | None = None
     scores: tuple[FlightScore, ...] = ()
     """Scores of the flights that were scored since the case was opened, in the order of the flights."""
     verdict: Words | None = None

@@ -26,6 +26,7 @@ from carina.session.open_case.open_case import OpenCase, as_point
 from carina.session.state.snapshot import UserMessage
 from carina.session.state.training import TaskInfo, TrainingInfo
 from carina.session.training.live_attempt import LiveAttempt
+from carina.session.training.quizzes import QuizHandlers
 from carina.session.training.scores import flight_score, references, task_infos, verdict_words
 from carina.track import Airways, AirwayTree
 from carina.training import Score, Task, find_task, flight_frames, score_flight, task_of_flight, task_to_json
@@ -65,12 +66,17 @@ class TrainingHandlers(CommandHandlers):
         Core of the session.
     recorder
         Recorder of flights.
+    quizzes
+        The quiz on the open case, which an attempt ends.
     text
         Returns the lines of a flight by its number; the call may wait for the disk.
     """
 
-    def __init__(self, core: SessionCore, recorder: FlightRecorder, text: Callable[[int], str]) -> None:
+    def __init__(
+        self, core: SessionCore, recorder: FlightRecorder, quizzes: QuizHandlers, text: Callable[[int], str]
+    ) -> None:
         super().__init__(core)
+        self._quizzes = quizzes
         self._recorder = recorder
         self._text = text
         self._state: _CaseTraining | None = None
@@ -116,6 +122,7 @@ class TrainingHandlers(CommandHandlers):
             return
         if self._of(case).attempt is not None or self._recorder.name is not None:
             return
+        self._quizzes.stop(c.StopQuiz())
         scope = scope_preset(task.scope or case.document.look.scope or DEFAULT_SCOPE)
         changed = document_with_scope(case.document, scope.name, resets_view=True)
         if changed is not case.document:
@@ -290,10 +297,12 @@ class TrainingHandlers(CommandHandlers):
             tasks = self._suitable.of(None if airways is None else airways.tree)
             numbers = [one.recording_id for one in case.flights.listed]
             listed = [(number, state.scores[number]) for number in numbers if number in state.scores]
+            quiz = self._quizzes.info_of(case)
             running = None if state.attempt is None else state.attempt.info(self.core.clock())
         return TrainingInfo(
             tasks=tasks,
             running=running,
+            quiz=quiz,
             scores=tuple(flight_score(number, one) for number, one in listed),
             verdict=verdict_words([one for _, one in listed]),
             references=references(),

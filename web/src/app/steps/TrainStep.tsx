@@ -1,8 +1,17 @@
 import { useEffect, useState } from "react";
 import { fixed, sentence } from "../../state/format";
 import { clock } from "../../state/playing";
-import { type Attempt, attemptOf, outcomeText, progressText, timeText } from "../../state/training";
-import type { FlightScore, TaskInfo } from "../../wire/messages";
+import {
+  type Attempt,
+  answerText,
+  attemptOf,
+  outcomeText,
+  progressText,
+  questionText,
+  quizOf,
+  timeText,
+} from "../../state/training";
+import type { FlightScore, QuizInfo, TaskInfo } from "../../wire/messages";
 import { useApp, useStation } from "../context";
 import { Act } from "../controls";
 import { Icon } from "../icons";
@@ -12,7 +21,9 @@ import { ScopeSelect } from "../ScopeSelect";
 export function TrainStep() {
   const training = useApp((state) => state.training);
   const attempt = useApp(attemptOf);
+  const quiz = useApp(quizOf);
   if (attempt !== null) return <RunningAttempt attempt={attempt} />;
+  if (quiz !== null) return <RunningQuiz quiz={quiz} />;
   if (training === null) return null;
   return (
     <>
@@ -26,6 +37,7 @@ export function TrainStep() {
           <TaskRow key={task.name} task={task} />
         ))}
       </ul>
+      <Quizzes />
       <Scores scores={training.scores} verdict={training.verdict} />
     </>
   );
@@ -56,6 +68,85 @@ function TaskRow({ task }: { task: TaskInfo }) {
       </div>
       {task.problem === null ? null : <p className="warning-text">{sentence(task.problem)}</p>}
     </li>
+  );
+}
+
+/** Render the buttons that start a quiz. */
+function Quizzes() {
+  const station = useStation();
+  const ready = useApp((state) => state.session?.airways === "found");
+  return (
+    <>
+      <h3>Quizzes</h3>
+      <div className="row">
+        <Act
+          label="Name the opening"
+          words="Which segment is behind the opening in the middle of the picture?"
+          disabled={!ready}
+          testId="quiz-name-opening"
+          onPress={() => station.startQuiz("name-opening")}
+        />
+        <Act
+          label="Where are you?"
+          words="In which segment is the tip?"
+          disabled={!ready}
+          testId="quiz-where-are-you"
+          onPress={() => station.startQuiz("where-are-you")}
+        />
+      </div>
+    </>
+  );
+}
+
+/** Render the question of the quiz, its choices, and the result of the answer. */
+function RunningQuiz({ quiz }: { quiz: QuizInfo }) {
+  const station = useStation();
+  const answer = answerText(quiz);
+  const result = `${quiz.num_right} of ${quiz.num_questions} right`;
+  return (
+    <>
+      <p className="quiet numbers" data-testid="quiz-number">
+        Question {quiz.number} of {quiz.num_questions}
+      </p>
+      <p>
+        <strong>{questionText(quiz)}</strong>
+      </p>
+      <div className="quiz-choices">
+        {quiz.choices.map((name) => (
+          <Act
+            key={name}
+            label={name}
+            words={`Answer ${name}`}
+            disabled={quiz.given !== null}
+            testId="quiz-choice"
+            onPress={() => station.send({ type: "answer_quiz", name })}
+          />
+        ))}
+      </div>
+      <p role="status" className={quiz.given === quiz.answer ? undefined : "warning-text"} data-testid="quiz-answer">
+        {answer ?? ""}
+      </p>
+      {quiz.is_over ? (
+        <p>
+          <strong data-testid="quiz-result">{result}</strong>
+        </p>
+      ) : answer === null ? null : (
+        <Act
+          kind="primary"
+          label="Next question"
+          words="Go to the next question"
+          testId="quiz-next"
+          onPress={() => station.send({ type: "next_question" })}
+        />
+      )}
+      <Act
+        kind={quiz.is_over ? "primary" : "plain"}
+        label={quiz.is_over ? "Close" : "End the quiz"}
+        words="End the quiz"
+        testId="quiz-stop"
+        onPress={() => station.send({ type: "stop_quiz" })}
+      />
+    </>
   );
 }
 

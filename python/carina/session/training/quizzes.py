@@ -1,0 +1,144 @@
+"""Commands of quizzes: questions about the names of segments, asked from poses of the tip."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from carina import commands as c
+from carina.errors import NoResultError, UsageError
+from carina.scopes import WallField
+from carina.session.command_registry import CommandHandlers, does
+from carina.session.flights.tip_commands import place_pose
+from carina.session.open_case.open_case import OpenCase
+from carina.session.state.training import QuizInfo
+from carina.track import Airways
+from carina.training import QuizKind, QuizQuestion, quiz_questions
+
+
+@dataclass(slots=True)
+class _Quiz:
+    """Questions and answers of a quiz on a case."""
+
+    case: OpenCase
+    airways: Airways
+    kind: QuizKind
+    questions: tuple[QuizQuestion, ...]
+    answers: list[str] = field(default_factory=list)
+    at: int = 0
+    """Index of the present question."""
+
+    @property
+    def info(self) -> QuizInfo:
+        """The quiz as windows show it; the right answer only after the trainee's."""
+        question = self.questions[self.at]
+        is_answered = len(self.answers) > self.at
+        return QuizInfo(
+            kind=self.kind,
+            number=self.at + 1,
+            num_questions=len(self.questions),
+            choices=question.choices,
+            num_right=sum(given == one.answer for given, one in zip(self.answers, self.questions, strict=False)),
+            given=self.answers[self.at] if is_answered else None,
+            answer=question.answer if is_answered else None,
+            is_over=len(self.answers) == len(self.questions),
+        )
+
+
+class QuizHandlers(CommandHandlers):
+    """The quiz on the open case."""
+
+    _quiz: _Quiz | None = None
+
+    def info_of(self, case: OpenCase) -> QuizInfo | None:
+        """Return the running quiz of a case; None without one. The caller holds the session's lock."""
+        quiz = self._quiz
+        return quiz.info if quiz is not None and quiz.case is case else None
+
+    @does(c.StartQuiz)
+    def start(self, command: c.StartQuiz) -> None:
+        """Begin a quiz, once the wall of the airways is computed.
+
+        Raises
+        ------
+        NoResultError
+            ``training.no-airways``: without airways.
+        """
+        case = self.core.needed_case()
+        with self.core.lock:
+            airways = case.document.airways
+            if airways is None:
+                raise NoResultError("a quiz needs the airways: wait for the search", code="training.no-airways")
+            case.wall.again()
+            case.wall.want(airways, then=lambda wall: self._begin(case, airways, wall.field, command))
+
+    def _begin(self, case: OpenCase, airways: Airways, wall: WallField, command: c.StartQuiz) -> None:
+        """Make the questions and ask the first one; the caller holds the session's lock."""
+        if self.core.case is not case or case.document.airways is not airways:
+            return
+        questions = quiz_questions(airways.tree, wall, command.kind, num=command.num, seed=command.seed)
+        self._quiz = _Quiz(case, airways, command.kind, questions)
+        self._ask()
+
+    def _ask(self) -> None:
+        assert self._quiz is not None
+        self.core.fly(place_pose(self._quiz.questions[self._quiz.at].pose))
+        self.core.changed("training")
+
+    @does(c.AnswerQuiz)
+    def answer(self, command: c.AnswerQuiz) -> None:
+        """Answer the present question.
+
+        Raises
+        ------
+        UsageError
+            ``training.quiz``: without a quiz, if the question is answered, or if the name is none of the choices.
+        """
+        with self.core.lock:
+            quiz = self._needed()
+            if len(quiz.answers) > quiz.at:
+                raise UsageError("this question is answered already; go to the next one", code="training.quiz")
+            choices = quiz.questions[quiz.at].choices
+            if command.name not in choices:
+                raise UsageError(
+                    f"quiz: expected one of {', '.join(choices)}; found {command.name!r}", code="training.quiz"
+                )
+            quiz.answers.append(command.name)
+            self.core.changed("training")
+
+    @does(c.NextQuestion)
+    def next_question(self, _command: c.NextQuestion) -> None:
+        """Ask the next question.
+
+        Raises
+        ------
+        UsageError
+            ``training.quiz``: without a quiz, before the answer, or after the last question.
+        """
+        with self.core.lock:
+            quiz = self._needed()
+            if len(quiz.answers) <= quiz.at:
+                raise UsageError("answer this question first", code="training.quiz")
+            if quiz.at + 1 == len(quiz.questions):
+                raise UsageError("this was the last question", code="training.quiz")
+            quiz.at += 1
+            self._ask()
+
+    @does(c.StopQuiz)
+    def stop(self, _command: c.StopQuiz) -> None:
+        """End the quiz; do nothing without one."""
+        with self.core.lock:
+            self._quiz = None
+            self.core.changed("training")
+
+    def follow(self, case: OpenCase) -> None:
+        """End the quiz after a change of the airways; the caller holds the session's lock."""
+        quiz = self._quiz
+        if quiz is not None and (quiz.case is not case or case.document.airways is not quiz.airways):
+            self._quiz = None
+            self.core.changed("training")
+
+    def _needed(self) -> _Quiz:
+        quiz = self._quiz
+        if quiz is None or quiz.case is not self.core.case:
+            raise UsageError("no quiz is running; start one", code="training.quiz")
+        return quiz

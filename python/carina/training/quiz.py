@@ -1,0 +1,157 @@
+"""Quizzes that ask which segment is behind the opening in the middle of the picture, or where the tip is."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carina.argument_checks import check_arguments, choice, instance, whole_from
+from carina.display import one_line
+from carina.errors import NoResultError
+from carina.scopes import DEFAULT_SCOPE, Pose, ScopePreset, WallField, scope_preset
+from carina.track import AirwayTree, Branch
+from carina.training.flight_frames import FlightFrames, FlightOptics
+from carina.training.openings_in_sight import branch_openings, openings_in_sight
+from carina.training.segments import SURE_NAME, segments_of_case
+
+QuizKind = Literal["name-opening", "where-are-you"]
+
+MAX_QUESTIONS = 100
+NUM_CHOICES = 4
+BACK_MM = (10.0, 8.0, 12.0, 6.0, 15.0, 4.0)
+"""Distances in mm before a fork at which the tip may look at an opening, the preferred ones first."""
+INTO_BRANCH = 0.4
+"""Part of its length at which the tip is in a branch."""
+
+
+@one_line
+@dataclass(frozen=True, slots=True, eq=False)
+class QuizQuestion:
+    """Question of a quiz: a pose of the tip, the right name, and the names to choose from."""
+
+    pose: Pose
+    """Pose of the tip: it looks at the opening, or along the branch in which it is."""
+    answer: str
+    choices: tuple[str, ...]
+    """Names in random order, the right one included."""
+
+
+@check_arguments(
+    tree=instance(AirwayTree, "get one from carina.find_airways"),
+    wall=instance(WallField, "make one with carina.wall_field"),
+    kind=choice("name-opening", "where-are-you"),
+    num=whole_from(1, MAX_QUESTIONS),
+    seed=whole_from(0, 2**31),
+)
+def quiz_questions(
+    tree: AirwayTree, wall: WallField, kind: QuizKind, *, num: int = 10, seed: int = 0
+) -> tuple[QuizQuestion, ...]:
+    """Return the questions of a quiz on a case; one seed gives the same questions.
+
+    Only segments whose names are certain are asked for. For ``name-opening`` the tip is before a fork and looks at the
+    opening of a segment, which is in sight by the rules of the scores; for ``where-are-you`` it is inside a segment.
+
+    Parameters
+    ----------
+    tree, wall
+        Airways with names, and their wall.
+    kind
+        Kind of the questions.
+    num
+        Number of questions; fewer are returned if the case has fewer suitable segments.
+    seed
+        Seed of the order of the segments and of the choices.
+
+    Returns
+    -------
+    tuple
+        The questions, each about another segment.
+
+    Raises
+    ------
+    NoResultError
+        ``training.no-segments``: if the case has fewer than two suitable segments.
+
+    Examples
+    --------
+    >>> questions = quiz_questions(airways.tree, wall, "name-opening", num=3)  # doctest: +SKIP
+    >>> questions[0].choices  # doctest: +SKIP
+    ('RB9', 'RB6', 'RB10', 'RB8')
+    """
+    rng = random.Random(seed)
+    segments = [
+        (one.name, tree.branch(one.branch_ids[0]))
+        for one in segments_of_case(tree)
+        if len(one.branch_ids) == 1 and _is_certain(tree.branch(one.branch_ids[0]))
+    ]
+    posed = []
+    for name, branch in segments:
+        pose = _before_opening(tree, branch, wall) if kind == "name-opening" else _inside(branch)
+        if pose is not None:
+            posed.append((name, branch, pose))
+    if len(posed) < 2:
+        raise NoResultError(
+            f"quiz: expected two segments or more with certain names and visible openings; found {len(posed)}; confirm "
+            "the names in the window, or choose another case",
+            code="training.no-segments",
+        )
+    rng.shuffle(posed)
+    return tuple(QuizQuestion(pose, name, _choices(name, branch, segments, rng)) for name, branch, pose in posed[:num])
+
+
+def _is_certain(branch: Branch) -> bool:
+    """Return whether a name is certain; a name without a confidence was given by a person."""
+    return branch.name_confidence is None or branch.name_confidence >= SURE_NAME
+
+
+def _choices(name: str, branch: Branch, segments: Sequence[tuple[str, Branch]], rng: random.Random) -> tuple[str, ...]:
+    """Return the right name and the names of the segments that are nearest to it, in random order."""
+    middle = branch.points[0]
+    others = sorted(
+        (one for one in segments if one[0] != name), key=lambda one: float(np.linalg.norm(one[1].points[0] - middle))
+    )
+    chosen = [name, *(other for other, _ in others[: NUM_CHOICES - 1])]
+    rng.shuffle(chosen)
+    return tuple(chosen)
+
+
+def _before_opening(tree: AirwayTree, branch: Branch, wall: WallField) -> Pose | None:
+    """Return a pose before the fork of a branch that looks at its opening; None if the opening is nowhere in sight."""
+    if branch.parent is None:
+        return None
+    lineage = tree.lineage(branch.parent)
+    points = np.concatenate([lineage[0].points, *(one.points[1:] for one in lineage[1:])])
+    run = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+    (opening,) = branch_openings(tree, [branch.id], wall)
+    poses = []
+    for back_mm in BACK_MM:
+        at = np.array([np.interp(run[-1] - back_mm, run, points[:, k]) for k in range(3)])
+        poses.append(Pose.looking(at, opening.middle_lps - at))
+    frames = _frames([pose.lps_from_camera for pose in poses], scope_preset(DEFAULT_SCOPE))
+    seen = openings_in_sight(frames, [opening], wall, first=0, last=len(poses) - 1).in_sight[:, 0]
+    return next((pose for pose, is_seen in zip(poses, seen, strict=True) if is_seen), None)
+
+
+def _inside(branch: Branch) -> Pose | None:
+    """Return a pose inside a branch that looks along it; None in a branch of one point."""
+    run = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(branch.points, axis=0), axis=1))])
+    if run[-1] <= 0.0:
+        return None
+    here, ahead = (
+        np.array([np.interp(mm, run, branch.points[:, k]) for k in range(3)]) for mm in (INTO_BRANCH * run[-1], run[-1])
+    )
+    return Pose.looking(here, ahead - here)
+
+
+def _frames(poses: list[NDArray[np.float64]], scope: ScopePreset) -> FlightFrames:
+    """Return poses as the frames of a flight with an instrument."""
+    num = len(poses)
+    stacked = np.stack(poses)
+    optics = FlightOptics(scope, False, scope.usual_fov_deg, False)
+    none = np.zeros(num, dtype=np.int64)
+    return FlightFrames(stacked, np.arange(num), none, (optics,), True, stacked, np.arange(num, dtype=np.float64))
