@@ -27,7 +27,7 @@ import { type Attempt, attemptOf, quizOf } from "../state/training";
 import { cameraFromMatrix, lookingUp } from "../state/vec";
 import { wallPointLines } from "../state/wall-point";
 import { clipPathOf, shapeOf } from "../views/outline";
-import type { HeldScope, StateMessage } from "../wire/messages";
+import type { HeldScope, QuizInfo, StateMessage } from "../wire/messages";
 import { LEAD_VIEW } from "../wire/views";
 import { useApp, useStation } from "./context";
 import { Act, Choice, SwitchKey, Tip, useKeysBack } from "./controls";
@@ -45,7 +45,7 @@ export function AirwayStage() {
   const markable = armed === null ? undefined : worksIn(armed, LEAD_VIEW) ? "yes" : "no";
   const station = useStation();
   const attempt = useApp(attemptOf);
-  const quiz = useApp((state) => quizOf(state) !== null);
+  const quiz = useApp((state) => quizOf(state)?.kind ?? null);
   return (
     <section className="airway-stage" aria-label="Airway view">
       <AirwayTools />
@@ -59,7 +59,13 @@ export function AirwayStage() {
         {shown ? (
           <>
             <RedOut />
-            {attempt !== null ? <AttemptReadings attempt={attempt} /> : quiz ? null : <Readings />}
+            {attempt !== null ? (
+              <AttemptReadings attempt={attempt} />
+            ) : quiz !== null ? (
+              <QuizMark kind={quiz} />
+            ) : (
+              <Readings />
+            )}
             <FinderLabel />
             <EmptyLabel />
           </>
@@ -395,6 +401,11 @@ const AT_END_MM = 0.1;
 
 const directionText = ({ hour, noHour }: OnwardBranch): string =>
   hour === null ? (noHour ?? "straight ahead") : `${hour} o\u2019clock`;
+
+/** Render the mark in the middle of the picture, on the opening that a quiz asks for. */
+function QuizMark({ kind }: { kind: QuizInfo["kind"] }) {
+  return kind === "name-opening" ? <div className="quiz-mark" data-testid="quiz-mark" aria-hidden="true" /> : null;
+}
 
 /** Render the state of the scope and the latest event of a running attempt; names only where the task shows them. */
 function AttemptReadings({ attempt }: { attempt: Attempt }) {
