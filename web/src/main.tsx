@@ -9,6 +9,9 @@ import "./app/styles/workstation.css";
 import "./app/styles/panels.css";
 import "./app/styles/start.css";
 import "./app/styles/saved-files.css";
+import "./app/styles/plan-answer.css";
+import "./app/styles/icon-labels.css";
+import "./app/styles/narrow-window.css";
 
 function socketAddress(): string {
   const address = new URL("./ws", location.href);

@@ -33,6 +33,7 @@ import { Act, Choice, SwitchKey, Tip, useKeysBack } from "./controls";
 import { Icon } from "./icons";
 import { PictureMenu } from "./PictureMenu";
 import { PictureView } from "./PictureView";
+import { PlanAnswer } from "./PlanAnswer";
 import { ScopeSelect } from "./ScopeSelect";
 import { ToolTag } from "./ToolTag";
 
@@ -46,6 +47,7 @@ export function AirwayStage() {
   return (
     <section className="airway-stage" aria-label="Airway view">
       <AirwayTools />
+      <PlanAnswer />
       <div className="airway-picture" data-outline={outline} data-armed={markable}>
         <PictureView
           view={LEAD_VIEW}
@@ -203,8 +205,9 @@ function AirwayTools() {
         onChange={(mode) => station.send({ type: "set_mode", mode })}
       />
       <Act
+        kind="icon"
         icon="operator"
-        label={<span className="wide-only">{facing ? "Facing patient" : "At head end"}</span>}
+        short={facing ? "Facing" : "Head end"}
         words={
           facing
             ? "The operator is facing the patient. Click to stand at the head end."
@@ -216,6 +219,7 @@ function AirwayTools() {
       <Act
         kind="icon"
         icon="level"
+        short="Level"
         words="Level the horizon"
         keys={keyOf("level_horizon")}
         onPress={() => station.act("level_horizon")}
@@ -223,6 +227,7 @@ function AirwayTools() {
       <Act
         kind="icon"
         icon="straight"
+        short="Straight"
         words="Look straight along the path"
         keys={keyOf("reset_look")}
         onPress={() => station.act("reset_look")}
@@ -233,6 +238,7 @@ function AirwayTools() {
       <Fov />
       <SwitchKey
         icon="light"
+        short="Light"
         words={shading ? "Light at the tip: on" : "Light at the tip: off"}
         on={shading}
         onChange={() => station.send({ type: "set_shading", on: !shading })}
@@ -240,6 +246,7 @@ function AirwayTools() {
       {session.transfer_document?.appearance != null && (
         <SwitchKey
           icon="texture"
+          short="Decoration"
           words={
             texture
               ? "Decoration: on. Rings, vessels and the fine texture of the wall are drawn, not from the CT."
@@ -252,6 +259,7 @@ function AirwayTools() {
       )}
       <SwitchKey
         icon="routeLine"
+        short="Route line"
         words="Route line"
         keys={keyOf("toggle_route_line")}
         on={routeLineVisible}
@@ -259,6 +267,7 @@ function AirwayTools() {
       />
       <SwitchKey
         icon="round"
+        short={outline === "octagon" ? "Octagon" : "Round"}
         words={
           outline === "octagon" ? "Octagonal image, as through this scope" : "Round image, as through a bronchoscope"
         }

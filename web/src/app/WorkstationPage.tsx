@@ -11,9 +11,9 @@ import { DevicePanel } from "./DevicePanel";
 import { FilmDialog } from "./FilmDialog";
 import { HistoryList } from "./HistoryList";
 import { KeyFramePanel } from "./KeyFramePanel";
+import { Tabs } from "./ListHead";
 import { DropChoice, MaskDialog } from "./MaskImport";
 import { PathBar } from "./PathBar";
-import { PlanAnswer, useAnswerShown } from "./PlanAnswer";
 import { SaveDialog } from "./SaveDialog";
 import { SideViews } from "./SideViews";
 import { StatusBar } from "./StatusBar";
@@ -29,10 +29,10 @@ export function WorkstationPage() {
   const devicesOpen = useApp((state) => state.ui.devicesOpen);
   const keysOpen = useApp((state) => state.ui.keysOpen);
   const list = useApp((state) => state.ui.list);
+  const panel = useApp((state) => state.ui.panel);
   const armed = useApp((state) => state.ui.armed);
   const watches = useApp((state) => state.watches);
   const choosesTarget = useApp((state) => choosesTargetIn(state.ui));
-  const answered = useAnswerShown();
   const lost = useApp((state) => state.connection.status === "lost" || state.connection.status === "refused");
   return (
     <div
@@ -45,13 +45,15 @@ export function WorkstationPage() {
       style={armed === null ? undefined : ({ "--tool-cursor": cursorOf(armed) } as CSSProperties)}
     >
       <TopBar />
-      <aside className="left-panel">
+      <aside className="left-panel" data-panel={panel}>
         <ContinuedBar />
         {list === "history" ? <HistoryList /> : <BranchList />}
+        <div className="panel-tabs">
+          <Tabs place="panel" />
+        </div>
         {watches ? <WatcherPanel /> : devicesOpen ? <DevicePanel /> : keysOpen ? <KeyFramePanel /> : <StepPanel />}
       </aside>
-      <main className="pictures" data-answered={answered || undefined}>
-        <PlanAnswer />
+      <main className="pictures">
         <AirwayStage />
         <SideViews />
       </main>

@@ -29,6 +29,7 @@ import { forkAhead } from "../state/fork";
 import { type ShownLayer, toggled, wantedLayers } from "../state/lungs";
 import { NOT_SENT } from "../state/optimistic";
 import { PaceMeter } from "../state/pace";
+import { panelOf } from "../state/panels";
 import { type PathCost, startOf, targetMessage } from "../state/path-search";
 import { wasUsedByPen } from "../state/pen";
 import { planOf } from "../state/plan";
@@ -36,7 +37,7 @@ import type { PixelPoint } from "../state/projection";
 import { clampToRoute } from "../state/route";
 import { SpeedMeter, shownSpeed } from "../state/speed";
 import { Store } from "../state/store";
-import { type Armed, isBrush, isLesionBrush, type LesionTool, nextBrush } from "../state/tools";
+import { type Armed, isBrush, isLesionBrush, type LesionTool, nextBrush, wantsBranch } from "../state/tools";
 import { asVec3, cameraFromMatrix, type Vec3 } from "../state/vec";
 import { nextIn, showing, viewZoomedBy } from "../state/view-table";
 import type { WallPoint } from "../state/wall-point";
@@ -549,7 +550,9 @@ export class Workstation implements Station {
     this.pointing.forget();
     this.answerDoubt(false);
     const step = tool === "target" || tool === "start" || isLesionBrush(tool) ? "target" : "airways";
-    this.ui({ armed: armed === tool ? null : tool, forkHeld: null, renaming: null, step });
+    // The panel contains the instruction of the tool; a tool for branches is also applied to rows of the list.
+    const panel = wantsBranch(tool, false) ? this.state.ui.panel : "step";
+    this.ui({ armed: armed === tool ? null : tool, forkHeld: null, renaming: null, step, panel });
   }
 
   /** Activate the brush for a target's boundary. */
@@ -586,7 +589,7 @@ export class Workstation implements Station {
   /** Go to a step and deactivate the tool of the previous step. */
   toStep(step: Ui["step"]): void {
     if (step !== this.state.ui.step) this.disarm();
-    this.ui({ step });
+    this.ui({ step, panel: panelOf(step) });
   }
 
   /**
@@ -611,7 +614,7 @@ export class Workstation implements Station {
   /** Show the step whose panel contains the question whether to draw a branch without evidence. */
   #showDoubtStep(): void {
     this.previewing.forget();
-    if (this.state.ui.step !== "airways") this.ui({ step: "airways" });
+    this.ui({ step: "airways", panel: "step" });
   }
 
   /** Answer the question about a branch without evidence: draw the branch by hand, or discard it. */
@@ -628,7 +631,7 @@ export class Workstation implements Station {
     if (branchId === null) this.notice("Choose a branch first: click it in the list or in a view.");
     else {
       this.disarm();
-      this.ui({ renaming: branchId, step: "airways" });
+      this.ui({ renaming: branchId, step: "airways", panel: "step" });
     }
   }
 
@@ -721,7 +724,13 @@ export class Workstation implements Station {
     rename: () => this.rename(shownBranch(this.state)),
     brush_smaller: () => this.ui({ brushMm: nextBrush(this.state.ui.brushMm, -1) }),
     brush_larger: () => this.ui({ brushMm: nextBrush(this.state.ui.brushMm, 1) }),
-    find_branch: () => document.querySelector<HTMLInputElement>(".branch-filter input")?.focus(),
+    find_branch: () => {
+      const focus = () => document.querySelector<HTMLInputElement>(".branch-filter input")?.focus();
+      this.ui({ list: "airways" });
+      focus();
+      // A list that was hidden appears with the next refresh of the display.
+      requestAnimationFrame(focus);
+    },
     window_airway: () => this.#setWindow("window_airway"),
     window_lung: () => this.#setWindow("window_lung"),
     window_mediastinum: () => this.#setWindow("window_mediastinum"),
@@ -733,7 +742,7 @@ export class Workstation implements Station {
     add_key: () => this.addKey(),
     key_frames: () => this.#showKeys(!this.state.ui.keysOpen),
     save: () => this.save(),
-    history: () => this.ui({ list: this.state.ui.list === "history" ? "airways" : "history" }),
+    history: () => this.ui({ list: this.state.ui.list === "history" ? "airways" : "history", panel: "list" }),
     key_card: () => this.ui({ keyCardOpen: !this.state.ui.keyCardOpen }),
     wall_point: () => this.#wallPointAhead(),
     leave: () => {

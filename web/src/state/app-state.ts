@@ -42,6 +42,7 @@ import type { LiveAnswer } from "./live-path";
 import type { ShownLayer } from "./lungs";
 import { allUnderWay, type Local, type Optimistic, shown, underWay } from "./optimistic";
 import { NO_PACE, type Pace } from "./pace";
+import { type PanelName, panelAfter, panelOf } from "./panels";
 import type { PathCost } from "./path-search";
 import { NOT_PLAYING, type Playing } from "./playing";
 import { FIRST_PICTURE, type PictureChoice } from "./saved-picture";
@@ -135,6 +136,8 @@ export interface Ui {
   readonly continuedReadS: number | null;
   /** The list that the left column shows. */
   readonly list: "airways" | "history";
+  /** What the left column shows in a window that is too narrow for both: the list, or the panel of the step. */
+  readonly panel: PanelName;
   /** Whether the panel of input devices replaces the panel of the step. */
   readonly devicesOpen: boolean;
   /** Whether the panel of key frames replaces the panel of the step. */
@@ -315,6 +318,7 @@ export const INITIAL_STATE: AppState = {
     storageOpen: false,
     continuedReadS: null,
     list: "airways",
+    panel: "list",
     devicesOpen: false,
     keysOpen: false,
     autoSpeedMmS: AUTO_SPEED_MM_S,
@@ -419,7 +423,12 @@ export function reduce(state: AppState, event: AppEvent): AppState {
         ...state,
         probed: event.change.cursorLps === null ? null : state.probed,
         // A change of the step closes the panel of key frames, so that the panel of the step is visible.
-        ui: { ...state.ui, keysOpen: event.change.step === undefined && state.ui.keysOpen, ...event.change },
+        ui: {
+          ...state.ui,
+          keysOpen: event.change.step === undefined && state.ui.keysOpen,
+          panel: panelAfter(state.ui, event.change),
+          ...event.change,
+        },
       };
   }
 }
@@ -535,6 +544,7 @@ function sessionChanged(state: AppState, session: StateMessage): AppState {
       ...FIRST_SEARCH,
       film: null,
       step: hasFindings ? "check" : "airways",
+      panel: panelOf(hasFindings ? "check" : "airways"),
     };
     next = { ...next, ...NOTHING_SHOWN, frames: {}, picks: [], local: NOTHING_LOCAL, ui };
   }

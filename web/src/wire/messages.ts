@@ -1293,6 +1293,7 @@ export interface RecentCase {
   readonly used_s: number | null;
   readonly begun_s: number | null;
   readonly num_changes: number | null;
+  readonly num_nodules: number | null;
   readonly num_bytes: number;
   readonly picture: string | null;
   readonly opens: boolean;

@@ -73,6 +73,7 @@ def _case_list_entry(case: ListedCase) -> wire.CaseListEntry:
         used_s=None if case.num_changes is None else case.used_s,
         begun_s=case.begun_s,
         num_changes=case.num_changes,
+        num_nodules=case.num_nodules,
         num_bytes=case.num_bytes,
         picture=None if made_s is None else f"api/cases/{case.recent_id}/picture.jpg?made={made_s:.3f}",
         opens=case.opens,

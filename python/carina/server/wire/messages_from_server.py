@@ -68,6 +68,8 @@ class CaseListEntry(FrozenValue, frozen=True):
     """Time when the case was begun, in seconds since 1970."""
     num_changes: Count | None = None
     """Number of changes; null if only the path of the CT is stored."""
+    num_nodules: Count | None = None
+    """Number of targets with a size; null if it is not known."""
     num_bytes: Bytes = 0
     """Size of the stored case on the disk, without its CT."""
     picture: Words | None = None
