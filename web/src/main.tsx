@@ -10,6 +10,7 @@ import "./app/styles/panels.css";
 import "./app/styles/start.css";
 import "./app/styles/saved-files.css";
 import "./app/styles/plan-answer.css";
+import "./app/styles/guide.css";
 import "./app/styles/icon-labels.css";
 import "./app/styles/narrow-window.css";
 

@@ -25,9 +25,11 @@ import { nextStopMm, pastMm, placeText, sideText } from "../state/route";
 import { worksIn } from "../state/tools";
 import { cameraFromMatrix, lookingUp } from "../state/vec";
 import { wallPointLines } from "../state/wall-point";
+import { wrongBranchText } from "../state/wrong-branch";
 import { clipPathOf, shapeOf } from "../views/outline";
 import type { HeldScope, StateMessage } from "../wire/messages";
 import { LEAD_VIEW } from "../wire/views";
+import { Announcer } from "./Announcer";
 import { useApp, useStation } from "./context";
 import { Act, Choice, SwitchKey, Tip, useKeysBack } from "./controls";
 import { Icon } from "./icons";
@@ -428,8 +430,17 @@ function Readings() {
   const atEnd = route !== null && at !== null && pose.mode === "path" && at > route.length_mm - AT_END_MM;
   const node = pose.branch_id === null ? undefined : tree?.byId.get(pose.branch_id);
   const kind = node === undefined ? null : kindText(node.branch.kind);
+  const wrong = wrongBranchText(pose, tree);
   return (
     <>
+      <Announcer way={{ fork, atEnd, wrong }} />
+      {wrong === null ? null : (
+        <p className="finder-label" data-testid="wrong-branch">
+          <strong>
+            Wrong branch: you are in {wrong.branch}; back {wrong.back}
+          </strong>
+        </p>
+      )}
       <div className="reading top-left" data-testid="hud">
         {pose.inside ? (
           <strong>{pose.branch_name ?? node?.label ?? (tree === null ? "In the volume" : "Airway")}</strong>
@@ -478,6 +489,7 @@ function Readings() {
           <Act
             kind="quiet"
             icon={advancing ? "stop" : "play"}
+            testId="fly-on"
             label={advancing ? "Stop" : toFork ? "Fly to next fork" : "Fly to the end"}
             words={
               advancing

@@ -88,6 +88,7 @@ export function TopBar() {
                   <Tip words={tip}>
                     <Button
                       className="step"
+                      data-step={name}
                       aria-current={name === step ? "step" : undefined}
                       onPress={(event) => {
                         if (event.pointerType === "mouse" && document.activeElement instanceof HTMLElement) {
@@ -138,7 +139,8 @@ function KeyCardButton() {
     <Act
       kind="icon"
       label="?"
-      words="Keys and mouse"
+      words="Keys, mouse and tour"
+      testId="open-keys"
       keys={keyOf("key_card")}
       onPress={() => station.ui({ keyCardOpen: true })}
     />

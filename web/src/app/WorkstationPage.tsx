@@ -9,6 +9,7 @@ import { ContinuedBar } from "./ContinuedBar";
 import { useApp } from "./context";
 import { DevicePanel } from "./DevicePanel";
 import { FilmDialog } from "./FilmDialog";
+import { Guide } from "./Guide";
 import { HistoryList } from "./HistoryList";
 import { KeyFramePanel } from "./KeyFramePanel";
 import { Tabs } from "./ListHead";
@@ -64,6 +65,7 @@ export function WorkstationPage() {
       <SaveDialog />
       <FilmDialog />
       <TargetComparisonDialog />
+      <Guide />
     </div>
   );
 }

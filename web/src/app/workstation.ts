@@ -26,6 +26,7 @@ import {
 import { routeDoubts } from "../state/branch-text";
 import { caseKey } from "../state/case-key";
 import { forkAhead } from "../state/fork";
+import { TOUR } from "../state/guide";
 import { type ShownLayer, toggled, wantedLayers } from "../state/lungs";
 import { NOT_SENT } from "../state/optimistic";
 import { PaceMeter } from "../state/pace";
@@ -591,6 +592,20 @@ export class Workstation implements Station {
     if (step !== this.state.ui.step) this.disarm();
     this.ui({ step, panel: panelOf(step) });
   }
+
+  /**
+   * Show a stop of the tour, with its step; null, or a number past the last stop, ends the tour and
+   * restores the step before it.
+   */
+  tourTo(at: number | null): void {
+    const { tourAt, step } = this.state.ui;
+    if (tourAt === null) this.#stepBeforeTour = step;
+    const next = at === null ? undefined : TOUR[at];
+    this.toStep(next?.step ?? (next === undefined ? this.#stepBeforeTour : step));
+    this.ui({ tourAt: next === undefined ? null : at, keyCardOpen: false, devicesOpen: false, full: null });
+  }
+
+  #stepBeforeTour: Ui["step"] = "airways";
 
   /**
    * Cancel the first of these that exists: the open question, the fork that is being moved, the active tool. Return

@@ -123,6 +123,10 @@ export interface Ui {
   /** The patient point under the cursor, LPS mm; null if the view cannot provide one. */
   readonly pointedLps: Vec3 | null;
   readonly keyCardOpen: boolean;
+  /** Number of the current stop of the tour; null while no tour runs. */
+  readonly tourAt: number | null;
+  /** Number of the current hint of the first minute. */
+  readonly hintAt: number;
   /** Whether the dialog that saves the case as a named file is open. */
   readonly saveOpen: boolean;
   /** Whether the dialog that compares the targets is open. */
@@ -313,6 +317,8 @@ export const INITIAL_STATE: AppState = {
     cursor: null,
     pointedLps: null,
     keyCardOpen: false,
+    tourAt: null,
+    hintAt: 0,
     saveOpen: false,
     comparisonOpen: false,
     storageOpen: false,
@@ -533,6 +539,7 @@ function sessionChanged(state: AppState, session: StateMessage): AppState {
         keysOpen: false,
         saveOpen: false,
         comparisonOpen: false,
+        tourAt: null,
         step: "open",
       },
     };
@@ -626,6 +633,8 @@ function foresee(state: AppState, message: ClientMessage, number: number): AppSt
       return { ...state, cancelledJobs: [...state.cancelledJobs, message.job_id] };
     case "accept_notice":
       return state.start === null ? state : { ...state, start: { ...state.start, notice_accepted: true } };
+    case "read_hints":
+      return state.start === null ? state : { ...state, start: { ...state.start, hints_read: true } };
     default:
       return message.type in SETS ? fieldSet(state, message as FieldSetting, number) : state;
   }
