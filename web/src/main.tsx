@@ -13,6 +13,9 @@ import "./app/styles/plan-answer.css";
 import "./app/styles/guide.css";
 import "./app/styles/icon-labels.css";
 import "./app/styles/narrow-window.css";
+import "./app/styles/bottom-sheet.css";
+import "./app/styles/touch.css";
+import "./app/styles/contrast.css";
 
 function socketAddress(): string {
   const address = new URL("./ws", location.href);

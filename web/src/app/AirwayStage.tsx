@@ -32,6 +32,7 @@ import { LEAD_VIEW } from "../wire/views";
 import { Announcer } from "./Announcer";
 import { useApp, useStation } from "./context";
 import { Act, Choice, SwitchKey, Tip, useKeysBack } from "./controls";
+import { FlightPad } from "./FlightPad";
 import { Icon } from "./icons";
 import { PictureMenu } from "./PictureMenu";
 import { PictureView } from "./PictureView";
@@ -68,6 +69,7 @@ export function AirwayStage() {
           <p className="empty centre">The view from the scope tip appears here once the CT has loaded.</p>
         )}
         <ToolTag view={LEAD_VIEW} />
+        <FlightPad />
       </div>
     </section>
   );

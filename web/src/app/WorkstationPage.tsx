@@ -16,12 +16,14 @@ import { Tabs } from "./ListHead";
 import { DropChoice, MaskDialog } from "./MaskImport";
 import { PathBar } from "./PathBar";
 import { SaveDialog } from "./SaveDialog";
+import { SheetHandle } from "./SheetHandle";
 import { SideViews } from "./SideViews";
 import { StatusBar } from "./StatusBar";
 import { StepPanel } from "./StepPanel";
 import { TargetComparisonDialog } from "./TargetComparison";
 import { cursorOf } from "./ToolTag";
 import { TopBar } from "./TopBar";
+import { ViewTabs } from "./ViewTabs";
 import { WatcherPanel } from "./WatcherPanel";
 
 /** Render the page of an open case. */
@@ -31,6 +33,7 @@ export function WorkstationPage() {
   const keysOpen = useApp((state) => state.ui.keysOpen);
   const list = useApp((state) => state.ui.list);
   const panel = useApp((state) => state.ui.panel);
+  const sheetOpen = useApp((state) => state.ui.sheetOpen);
   const armed = useApp((state) => state.ui.armed);
   const watches = useApp((state) => state.watches);
   const choosesTarget = useApp((state) => choosesTargetIn(state.ui));
@@ -46,7 +49,8 @@ export function WorkstationPage() {
       style={armed === null ? undefined : ({ "--tool-cursor": cursorOf(armed) } as CSSProperties)}
     >
       <TopBar />
-      <aside className="left-panel" data-panel={panel}>
+      <aside className="left-panel" data-panel={panel} data-sheet={sheetOpen ? "open" : "closed"}>
+        <SheetHandle />
         <ContinuedBar />
         {list === "history" ? <HistoryList /> : <BranchList />}
         <div className="panel-tabs">
@@ -56,6 +60,7 @@ export function WorkstationPage() {
       </aside>
       <main className="pictures">
         <AirwayStage />
+        <ViewTabs />
         <SideViews />
       </main>
       <PathBar />

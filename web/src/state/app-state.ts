@@ -42,7 +42,7 @@ import type { LiveAnswer } from "./live-path";
 import type { ShownLayer } from "./lungs";
 import { allUnderWay, type Local, type Optimistic, shown, underWay } from "./optimistic";
 import { NO_PACE, type Pace } from "./pace";
-import { type PanelName, panelAfter, panelOf } from "./panels";
+import { opensPanel, type PanelName, panelAfter, panelOf } from "./panels";
 import type { PathCost } from "./path-search";
 import { NOT_PLAYING, type Playing } from "./playing";
 import { FIRST_PICTURE, type PictureChoice } from "./saved-picture";
@@ -142,6 +142,8 @@ export interface Ui {
   readonly list: "airways" | "history";
   /** What the left column shows in a window that is too narrow for both: the list, or the panel of the step. */
   readonly panel: PanelName;
+  /** Whether the left column, which is a sheet at the bottom of a touch screen, is open there. */
+  readonly sheetOpen: boolean;
   /** Whether the panel of input devices replaces the panel of the step. */
   readonly devicesOpen: boolean;
   /** Whether the panel of key frames replaces the panel of the step. */
@@ -325,6 +327,7 @@ export const INITIAL_STATE: AppState = {
     continuedReadS: null,
     list: "airways",
     panel: "list",
+    sheetOpen: true,
     devicesOpen: false,
     keysOpen: false,
     autoSpeedMmS: AUTO_SPEED_MM_S,
@@ -433,6 +436,7 @@ export function reduce(state: AppState, event: AppEvent): AppState {
           ...state.ui,
           keysOpen: event.change.step === undefined && state.ui.keysOpen,
           panel: panelAfter(state.ui, event.change),
+          sheetOpen: state.ui.sheetOpen || opensPanel(event.change),
           ...event.change,
         },
       };

@@ -17,3 +17,11 @@ export function panelAfter(ui: Ui, change: Partial<Ui>): PanelName {
   if (change.step !== undefined && change.step !== ui.step) return panelOf(change.step);
   return ui.panel;
 }
+
+/** Return whether a change of the interface shows another panel, which opens the bottom sheet of a touch screen. */
+export const opensPanel = (change: Partial<Ui>): boolean =>
+  change.panel !== undefined ||
+  change.list !== undefined ||
+  change.step !== undefined ||
+  change.devicesOpen === true ||
+  change.keysOpen === true;

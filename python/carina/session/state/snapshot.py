@@ -82,7 +82,7 @@ class PoseInfo:
     by_device: bool = False
     """Whether a device moved the tip last."""
     back_to_route_mm: float | None = None
-    """Distance in mm along the centrelines back to the fork of the route, in mode *scope* in a wrong branch; else None."""
+    """Distance in mm along the centrelines back to the route, in mode *scope* in a wrong branch; else None."""
 
 
 @one_line
