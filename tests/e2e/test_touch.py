@@ -62,6 +62,7 @@ class Fingers:
 def test_journey_by_fingers_reaches_a_printed_plan_on_a_tablet(tablet):
     page, fingers = tablet.page, Fingers(tablet.page)
     handle = page.get_by_test_id("sheet-handle")
+    page.get_by_role("button", name="Airways", exact=True).first.tap()
     # A tap chooses a branch in the list, and in the external view of the tree.
     page.locator(".branch-tree [data-branch]").nth(1).tap()
     tablet.wait_for("window.__carina.state.session.can_undo?.startsWith('route to') === true")
