@@ -116,6 +116,7 @@ def test_journey_by_fingers_reaches_a_printed_plan_on_a_tablet(tablet):
     # Target, answer and report; while the place is chosen, the sheet gives its space to the slices.
     centre = cached_phantom(**CHEST).truth["nodule"]["centre_lps"]
     page.get_by_role("button", name="Target", exact=True).first.tap()
+    page.get_by_test_id("fit-axial").tap()
     show_slices_at(tablet, centre)
     page.get_by_test_id("arm-target").tap()
     tablet.wait_for("() => document.querySelector('.left-panel').getBoundingClientRect().height < 50")

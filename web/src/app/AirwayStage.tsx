@@ -96,7 +96,7 @@ function ScopeReading() {
     <>
       <span className="scope-reading" data-testid="scope-reading">
         <span>
-          inserted{" "}
+          <span className="scope-word">inserted </span>
           <strong>{route === null ? mm(scope.insertion_mm, 0) : `to ${placeText(route, scope.insertion_mm)}`}</strong>
         </span>
         <span>
