@@ -83,11 +83,6 @@ function Card({ stop, name, takesFocus, onBack, onNext, isLast, onTour, onLeave,
         style={cardPlace(box, window.innerWidth, window.innerHeight)}
         aria-label={name}
         data-testid="guide"
-        onKeyDown={(event) => {
-          if (event.key !== "Escape") return;
-          event.stopPropagation();
-          onLeave();
-        }}
       >
         <header>
           <span className="quiet">{name}</span>

@@ -26,7 +26,7 @@ import {
 import { routeDoubts } from "../state/branch-text";
 import { caseKey } from "../state/case-key";
 import { forkAhead } from "../state/fork";
-import { TOUR } from "../state/guide";
+import { hintsDue, TOUR } from "../state/guide";
 import { type ShownLayer, toggled, wantedLayers } from "../state/lungs";
 import { NOT_SENT } from "../state/optimistic";
 import { PaceMeter } from "../state/pace";
@@ -607,6 +607,16 @@ export class Workstation implements Station {
 
   #stepBeforeTour: Ui["step"] = "airways";
 
+  /** End the tour, or close the hints if they have the focus; return false if neither is shown. */
+  #leaveGuide(): boolean {
+    if (this.state.ui.tourAt !== null) {
+      this.tourTo(null);
+      return true;
+    }
+    if (!hintsDue(this.state) || document.activeElement?.closest(".guide-card") == null) return false;
+    return this.send({ type: "read_hints" });
+  }
+
   /**
    * Cancel the first of these that exists: the open question, the fork that is being moved, the active tool. Return
    * false if none exists.
@@ -761,7 +771,7 @@ export class Workstation implements Station {
     key_card: () => this.ui({ keyCardOpen: !this.state.ui.keyCardOpen }),
     wall_point: () => this.#wallPointAhead(),
     leave: () => {
-      if (this.putToolAway()) return;
+      if (this.putToolAway() || this.#leaveGuide()) return;
       this.flight.stopAuto();
       this.pausePlaying();
       if (this.state.ui.full !== null) this.ui({ full: null });
