@@ -35,8 +35,8 @@ def test_hints_tour_and_wrong_branch_guide_a_new_user(server, workstation):
     page.get_by_test_id("guide-next").click()
     assert "Hint 3 of 3" in guide.inner_text()
     # The tour is read by keyboard alone, shows the steps that it explains, and can be left in between.
-    page.get_by_test_id("start-tour").click()
     step = workstation.state("ui.step")
+    page.get_by_test_id("start-tour").click()
     assert "Tour, 1 of" in guide.inner_text()
     for _ in range(4):
         page.keyboard.press("Enter")
