@@ -80,8 +80,7 @@ def test_rows_and_buttons_are_24_px_high_and_texts_have_contrast_in_all_steps(se
         page.get_by_role("button", name=step, exact=True).first.click()
         assert_controls(workstation, step)
     mark_nodule(workstation)
-    wide = size[0] >= 1600
-    page.get_by_test_id("answer-take-route" if wide else "take-route").click()
+    page.get_by_test_id("answer-take-route").click()
     workstation.wait_for("window.__carina.state.plans.verdicts.length > 1")
     for step in ("Target", "Route", "Rehearse"):
         page.get_by_role("button", name=step, exact=True).first.click()
@@ -99,9 +98,9 @@ def test_rows_and_buttons_are_24_px_high_and_texts_have_contrast_in_all_steps(se
     page.get_by_test_id("open-devices").click()
     assert_controls(workstation, "devices")
     page.get_by_test_id("open-devices").click()
-    page.get_by_test_id("list-history").click()
+    workstation.show_tab("history")
     assert_controls(workstation, "history")
-    page.get_by_test_id("list-airways").click()
+    workstation.show_tab("airways")
     box = page.locator("canvas[data-view=coronal]").bounding_box()
     page.mouse.click(box["x"] + 0.3 * box["width"], box["y"] + 0.7 * box["height"])
     workstation.wait_for("window.__carina.state.session.sight.crosshair_lps !== null")

@@ -1,4 +1,4 @@
-"""Test of the way from a CT to a printed plan in the browser, in six clicks."""
+"""Test of the way from a CT to a printed plan in the browser, in six clicks and without scrolling."""
 
 from __future__ import annotations
 
@@ -13,6 +13,15 @@ pytestmark = pytest.mark.browser
 
 CHEST = {"seed": 4, "spacing_mm": 1.2, "generations": 5, "nodule": True}
 MAX_CLICKS = 6
+SMALL = {"width": 1280, "height": 720}
+OUTSIDE = """() => ['plan-answer', 'answer-reach', 'answer-needle', 'answer-vessel', 'print-plan'].filter((name) => {
+    const shown = document.querySelector(`[data-testid=${name}]`);
+    if (shown === null) return name !== 'print-plan' || !document.querySelector('[data-testid=answer-take-route]');
+    const { left, right, top, bottom } = shown.getBoundingClientRect();
+    const hit = document.elementFromPoint((left + right) / 2, (top + bottom) / 2);
+    return left < 0 || top < 0 || right > innerWidth || bottom > innerHeight || !shown.contains(hit);
+})"""
+"""Script that returns the parts of the answer that are missing, covered or outside the window."""
 
 
 @pytest.fixture
@@ -50,7 +59,8 @@ def place_in_slice(workstation, view: str, lps) -> list[float]:
     )
 
 
-def test_plan_is_printed_six_clicks_after_opening_the_ct(server, workstation):
+def test_plan_is_printed_six_clicks_after_opening_the_ct_with_the_answer_on_the_screen(server, workstation):
+    workstation.page.set_viewport_size(SMALL)
     workstation.open(server)
     workstation.wait_ready()
     page, truth = workstation.page, cached_phantom(**CHEST).truth["nodule"]
@@ -68,11 +78,13 @@ def test_plan_is_printed_six_clicks_after_opening_the_ct(server, workstation):
     assert "solid nodule" in page.get_by_test_id("lesion-size").inner_text().lower()
     # The tip does not jump to the new target or to the plan's route.
     assert workstation.state("pose.lps_from_camera") == pose
+    assert page.evaluate(OUTSIDE) == []
     workstation.picture("plan-target")
 
-    page.get_by_test_id("take-route").click()
+    page.get_by_test_id("answer-take-route").click()
     clicks += 1
     workstation.wait_while_working("window.__carina.state.plans.verdicts_standing === 'had'")
+    assert page.evaluate(OUTSIDE) == []
     verdict = page.get_by_test_id("verdict").first
     assert verdict.inner_text().strip()
     routes = workstation.state("plans.targets[0].routes")

@@ -79,7 +79,7 @@ def test_second_ct_is_chosen_as_a_file_or_from_the_recent_cases(server, workstat
     page.get_by_test_id("arm-target").click()
     page.mouse.click(*place_in_slice(workstation, "axial", place))
     workstation.wait_while_working("window.__carina.state.plans?.targets[0]?.routes.length > 0")
-    page.get_by_test_id("answer-take-route" if size[0] >= 1600 else "take-route").click()
+    page.get_by_test_id("answer-take-route").click()
     options = page.get_by_test_id("second-ct-options")
     page.get_by_text("Measure the movement from a second CT", exact=True).click()
     assert options.get_by_test_id("second-ct-recent").count() == 0, "the list omits the CT of the plan"

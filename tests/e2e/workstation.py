@@ -15,8 +15,11 @@ READY_MS = 600_000
 """Limit for opening a case with its airways, ms; far above the time on a busy machine."""
 PICTURE_MS = 120_000
 """Limit for the arrival of a picture, ms; far above the time on a busy machine."""
-SIZE = {"width": 1440, "height": 900}
-"""Width and height of the page, CSS px."""
+SIZE = {"width": 1600, "height": 900}
+"""Width and height of the page, CSS px: the smallest window that shows the list and the panel of the step together.
+
+Tests of the layout of smaller windows set their size.
+"""
 EMPTY = "icon.svg"
 """File of the site that is opened as an empty page."""
 # Background network traffic, updates and synchronisation would disturb tests. The sandbox does not work for root in a
@@ -330,6 +333,10 @@ class Workstation:
             self.page.keyboard.press(key)
             self.page.wait_for_function(f"(before) => ({SHOWN_VIEWS})().join() !== before", arg=",".join(shown))
         raise AssertionError(f"{key} does not lead to {view}: {self.shown_views()}")
+
+    def show_tab(self, name: str) -> None:
+        """Show ``airways``, ``history`` or ``step`` in the left column, whichever panel is open in a narrow window."""
+        self.page.locator(f"[data-testid=list-{name}]:visible, [data-testid=panel-{name}]:visible").first.click()
 
     def settle(self) -> None:
         """Wait until no message between page and server is pending."""

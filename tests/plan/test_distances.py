@@ -19,7 +19,7 @@ from phantom_plan import airways, plan, sheet, turns, verdicts, volume
 from test_report import words_of
 
 import carina
-from carina.case.routes import centreline_mm, route_along_points, route_to_branch, route_to_point
+from carina.case.routes import back_to_route_mm, centreline_mm, route_along_points, route_to_branch, route_to_point
 from carina.cli.plan import lines
 from carina.commands.plan import PlanOptions
 from carina.errors import UsageError
@@ -242,6 +242,27 @@ def test_distances_along_a_smoothed_route_are_measured_along_the_centrelines() -
     begun = centreline_mm(tree, searched)
     assert begun[0] == pytest.approx(30.0, abs=1.0)
     assert begun[-1] == pytest.approx(80.0 + 18.0 * np.sqrt(2.0), abs=1.0)
+
+
+def test_distance_back_from_a_wrong_branch_is_measured_along_the_centrelines() -> None:
+    tree = with_tracheal_bronchus()
+    tips = [branch for branch in tree.branches if not branch.children]
+    for goal, other in itertools.permutations(tips, 2):
+        route = route_to_branch(tree, goal.id)
+        lineage = [branch.id for branch in tree.lineage(goal.id)]
+        left = [branch for branch in tree.lineage(other.id) if branch.id not in lineage]
+        expected = sum(branch.length_mm for branch in left)
+        assert back_to_route_mm(tree, route, other.id, other.points[-1]) == pytest.approx(expected)
+        # On the route, and in the opening of the wrong branch, which is inside the lumen of its parent.
+        assert back_to_route_mm(tree, route, goal.id, goal.points[-1]) is None
+        first = left[0]
+        along = first.points[1] - first.points[0]
+        inside = 0.9 * float(tree.branch(first.parent or 0).radius[-1])
+        opening = first.points[0] + along / np.linalg.norm(along) * inside
+        assert back_to_route_mm(tree, route, first.id, opening) is None
+    # A branch beyond the end of the route is no wrong branch.
+    parent = tree.branch(tips[-1].parent or 0)
+    assert back_to_route_mm(tree, route_to_branch(tree, parent.id), tips[-1].id, tips[-1].points[-1]) is None
 
 
 def test_main_carina_is_the_fork_at_which_both_main_bronchi_begin() -> None:

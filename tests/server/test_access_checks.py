@@ -53,11 +53,19 @@ def test_only_addresses_of_this_computer_count_as_loopback():
     assert not is_loopback("example.org")
 
 
-def test_access_token_of_the_start_link_is_accepted_only_once(gate):
-    token = gate.new_token()
+def test_access_token_of_the_start_link_is_redeemed_only_once_and_known_as_used(gate):
+    token, other = gate.new_token(), gate.new_token()
     assert not gate.redeem("wrong")
+    assert not gate.is_used(token)
     assert gate.redeem(token)
     assert not gate.redeem(token)
+    assert gate.is_used(token)
+    assert not any(gate.is_used(one) for one in ("wrong", "", "\u00fc", other))
+
+
+def test_cookie_of_a_browser_on_this_machine_outlives_the_browser_and_has_the_same_limits(gate):
+    assert "Max-Age" not in gate.set_cookie
+    assert gate.set_lasting_cookie == f"{gate.set_cookie}; Max-Age=2592000"
 
 
 def test_access_cookie_allows_requests_and_its_name_contains_the_port(gate):

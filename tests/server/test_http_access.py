@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from socket import create_connection
 
 import pytest
@@ -11,21 +12,30 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
 
 from carina.errors import CarinaError
+from carina.server.network.same_user import SOCKET_TABLES
 from carina.server.serve import bind, start_url
 from carina.server.wire import messages as wire
 
 
-def test_start_link_is_exchanged_for_a_cookie_only_once(live):
+@pytest.mark.parametrize("same_user", [True, False])
+def test_used_start_link_is_exchanged_for_a_cookie_again_only_for_the_same_user(live, monkeypatch, same_user):
     url = start_url(live.gate)
     with live.http() as http:
         first = http.get(url)
         assert (first.status_code, first.headers["location"]) == (303, "/")
-        assert "HttpOnly" in first.headers["set-cookie"]
-        assert "SameSite=Strict" in first.headers["set-cookie"]
+        for part in ("HttpOnly", "SameSite=Strict", "Max-Age"):
+            assert part in first.headers["set-cookie"]
+    if not same_user:
+        other = os.getuid() + 1
+        monkeypatch.setattr("os.getuid", lambda: other)
     with live.http() as http:
         again = http.get(url)
-        assert again.status_code == 403
-        assert "set-cookie" not in again.headers
+        # Only Linux shows the user of a socket.
+        is_accepted = same_user and SOCKET_TABLES[0].exists()
+        assert again.status_code == (303 if is_accepted else 403)
+        assert ("set-cookie" in again.headers) == is_accepted
+    with live.http() as http:
+        assert http.get(url + "x").status_code == 403
     with live.http(cookie=live.cookie) as http:
         # The printed link is loaded again in a window that already has the cookie.
         assert http.get(url).status_code == 303

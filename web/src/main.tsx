@@ -10,6 +10,13 @@ import "./app/styles/panels.css";
 import "./app/styles/start.css";
 import "./app/styles/saved-files.css";
 import "./app/styles/training.css";
+import "./app/styles/plan-answer.css";
+import "./app/styles/guide.css";
+import "./app/styles/icon-labels.css";
+import "./app/styles/narrow-window.css";
+import "./app/styles/bottom-sheet.css";
+import "./app/styles/touch.css";
+import "./app/styles/contrast.css";
 
 function socketAddress(): string {
   const address = new URL("./ws", location.href);

@@ -441,6 +441,37 @@ def centreline_mm(tree: AirwayTree, route: ChosenRoute) -> NDArray[np.float64]:
     return found
 
 
+def back_to_route_mm(tree: AirwayTree, route: ChosenRoute, branch_id: int, point: NDArray[np.float64]) -> float | None:
+    """Return the distance along the centrelines, mm, from a point in a wrong branch back to the fork of the route.
+
+    The result is None on the route, in the opening of a branch, beyond the last branch of the route, and in airways
+    without a common branch with the route.
+
+    Parameters
+    ----------
+    tree
+        The airway tree.
+    route
+        The route, tracked through the lumen of the tree.
+    branch_id
+        Branch of the tree that contains the point.
+    point
+        Point inside the lumen, (3,) LPS mm.
+    """
+    on_route = [span.branch_id for span in route.spans]
+    if branch_id in on_route:
+        return None
+    lineage = tree.lineage(branch_id)
+    common = [n for n, branch in enumerate(lineage) if branch.id in on_route]
+    if not common or lineage[common[-1]].id == on_route[-1]:
+        return None
+    fork_mm = sum(branch.length_mm for branch in lineage[: common[-1] + 1])
+    back_mm = place_on_tree_mm(tree, branch_id, point) - fork_mm
+    # The centreline of a branch begins in the middle of the fork: up to the wall of the parent, the point is in the
+    # opening and not yet in the branch.
+    return back_mm if back_mm > float(lineage[common[-1]].radius[-1]) else None
+
+
 def _nearest_mm(line: NDArray[np.float64], point: NDArray[np.float64]) -> float:
     """Return the position in mm along a polyline that is nearest to a point."""
     steps = np.diff(line, axis=0)

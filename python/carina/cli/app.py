@@ -119,7 +119,7 @@ def _workstation(
 
     def ready(url: str, token: str) -> None:
         if as_json:
-            # The link is for a browser and works once; the token is for programs and lasts as long as the server.
+            # The link is for a browser of this user; the token is for programs and lasts as long as the server.
             print_json({"url": url, "token": token, **changes})
             return
         if "phone" in changes:

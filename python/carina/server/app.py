@@ -27,6 +27,7 @@ from carina.server.files.web_files import asset_path, web_folder
 from carina.server.hub import Hub
 from carina.server.network.access_checks import Gate, comes_from_this_machine
 from carina.server.network.access_middleware import GateMiddleware, page
+from carina.server.network.same_user import comes_from_same_user
 from carina.server.sockets.close_codes import close_socket
 from carina.server.windows.websocket_session import serve_window
 from carina.server.windows.window import Window
@@ -70,15 +71,17 @@ def create_app(hub: Hub, gate: Gate, uploads: Uploads, *, web: Path | None = Non
     async def index(request: Request) -> Response:
         token = request.query_params.get("token")
         if token is not None:
-            if gate.redeem(token):
-                return RedirectResponse("/", 303, headers={"set-cookie": gate.set_cookie, "cache-control": "no-store"})
+            if gate.redeem(token) or (gate.is_used(token) and comes_from_same_user(request.scope)):
+                # On another machine the cookie ends with the browser, because others may use that machine.
+                cookie = gate.set_lasting_cookie if comes_from_this_machine(request.scope) else gate.set_cookie
+                return RedirectResponse("/", 303, headers={"set-cookie": cookie, "cache-control": "no-store"})
             if gate.authorised(request.headers):
                 return RedirectResponse("/", 303, headers={"cache-control": "no-store"})
             words = (
-                "The link works only once, so that nobody else can use it. Restart Carina, or go back to the window "
-                "that is already open."
+                "The link was used in another browser and cannot be used by other users. Open it in the browser that "
+                "opened it first. If Carina has been restarted, open the new link that it printed."
             )
-            return page("This link has already been used", words, 403)
+            return page("This link cannot be used here", words, 403)
         # No cookie is required here: after a click on another site the browser does not send a Strict cookie with this
         # navigation, but sends it with the WebSocket that the page opens. The files contain no patient data.
         if web is None:

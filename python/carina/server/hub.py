@@ -264,6 +264,10 @@ class Hub:
                 if self.session.store is not None:
                     self.session.store.accept_notice()
                 self._mark_topics("start")
+            case wire.ReadHints():
+                if self.session.store is not None:
+                    self.session.store.read_hints()
+                self._mark_topics("start")
             case wire.AskStorage():
                 window.mark("start")
             case wire.SetWatchPage():

@@ -100,7 +100,7 @@ GRACE_S = 3
 
 
 def start_url(gate: Gate) -> str:
-    """Return a start link with a fresh token; the link works once."""
+    """Return a start link with a fresh token; the link works once, and again for the user of this process."""
     host = gate.host
     if host in {"0.0.0.0", "::", ""}:
         host = socket.gethostname()
@@ -217,8 +217,9 @@ def serve(
     open_browser
         Whether to open a start URL with its own token in the browser.
     on_ready
-        Called when the server accepts connections, with the start URL, which works once, and the token for programs,
-        which works as long as the server runs (``Authorization: Bearer TOKEN``, protocol/README.md).
+        Called when the server accepts connections, with the start URL, which works once, and again for the user of
+        this process, and the token for programs, which works as long as the server runs (``Authorization: Bearer
+        TOKEN``, protocol/README.md).
     phone
         Whether to open the phone page at once; otherwise the user can open it under Devices.
     phone_address

@@ -26,14 +26,18 @@ import { worksIn } from "../state/tools";
 import { type Attempt, attemptOf, quizOf } from "../state/training";
 import { cameraFromMatrix, lookingUp } from "../state/vec";
 import { wallPointLines } from "../state/wall-point";
+import { wrongBranchText } from "../state/wrong-branch";
 import { clipPathOf, shapeOf } from "../views/outline";
 import type { HeldScope, QuizInfo, StateMessage } from "../wire/messages";
 import { LEAD_VIEW } from "../wire/views";
+import { Announcer } from "./Announcer";
 import { useApp, useStation } from "./context";
 import { Act, Choice, SwitchKey, Tip, useKeysBack } from "./controls";
+import { FlightPad } from "./FlightPad";
 import { Icon } from "./icons";
 import { PictureMenu } from "./PictureMenu";
 import { PictureView } from "./PictureView";
+import { PlanAnswer } from "./PlanAnswer";
 import { ScopeSelect } from "./ScopeSelect";
 import { ToolTag } from "./ToolTag";
 
@@ -49,6 +53,7 @@ export function AirwayStage() {
   return (
     <section className="airway-stage" aria-label="Airway view">
       <AirwayTools />
+      <PlanAnswer />
       <div className="airway-picture" data-outline={outline} data-armed={markable}>
         <PictureView
           view={LEAD_VIEW}
@@ -73,6 +78,7 @@ export function AirwayStage() {
           <p className="empty centre">The view from the scope tip appears here once the CT has loaded.</p>
         )}
         <ToolTag view={LEAD_VIEW} />
+        <FlightPad />
       </div>
     </section>
   );
@@ -99,7 +105,7 @@ function ScopeReading() {
     <>
       <span className="scope-reading" data-testid="scope-reading">
         <span>
-          inserted{" "}
+          <span className="scope-word">inserted </span>
           <strong>{route === null ? mm(scope.insertion_mm, 0) : `to ${placeText(route, scope.insertion_mm)}`}</strong>
         </span>
         <span>
@@ -212,8 +218,9 @@ function AirwayTools() {
         onChange={(mode) => station.send({ type: "set_mode", mode })}
       />
       <Act
+        kind="icon"
         icon="operator"
-        label={<span className="wide-only">{facing ? "Facing patient" : "At head end"}</span>}
+        short={facing ? "Facing" : "Head end"}
         words={
           facing
             ? "The operator is facing the patient. Click to stand at the head end."
@@ -225,6 +232,7 @@ function AirwayTools() {
       <Act
         kind="icon"
         icon="level"
+        short="Level"
         words="Level the horizon"
         keys={keyOf("level_horizon")}
         onPress={() => station.act("level_horizon")}
@@ -232,6 +240,7 @@ function AirwayTools() {
       <Act
         kind="icon"
         icon="straight"
+        short="Straight"
         words="Look straight along the path"
         keys={keyOf("reset_look")}
         onPress={() => station.act("reset_look")}
@@ -242,6 +251,7 @@ function AirwayTools() {
       <Fov />
       <SwitchKey
         icon="light"
+        short="Light"
         words={shading ? "Light at the tip: on" : "Light at the tip: off"}
         on={shading}
         onChange={() => station.send({ type: "set_shading", on: !shading })}
@@ -249,6 +259,7 @@ function AirwayTools() {
       {session.transfer_document?.appearance != null && (
         <SwitchKey
           icon="texture"
+          short="Decoration"
           words={
             texture
               ? "Decoration: on. Rings, vessels and the fine texture of the wall are drawn, not from the CT."
@@ -261,6 +272,7 @@ function AirwayTools() {
       )}
       <SwitchKey
         icon="routeLine"
+        short="Route line"
         words="Route line"
         keys={keyOf("toggle_route_line")}
         on={routeLineVisible}
@@ -268,6 +280,7 @@ function AirwayTools() {
       />
       <SwitchKey
         icon="round"
+        short={outline === "octagon" ? "Octagon" : "Round"}
         words={
           outline === "octagon" ? "Octagonal image, as through this scope" : "Round image, as through a bronchoscope"
         }
@@ -454,8 +467,17 @@ function Readings() {
   const atEnd = route !== null && at !== null && pose.mode === "path" && at > route.length_mm - AT_END_MM;
   const node = pose.branch_id === null ? undefined : tree?.byId.get(pose.branch_id);
   const kind = node === undefined ? null : kindText(node.branch.kind);
+  const wrong = wrongBranchText(pose, tree);
   return (
     <>
+      <Announcer way={{ fork, atEnd, wrong }} />
+      {wrong === null ? null : (
+        <p className="finder-label" data-testid="wrong-branch">
+          <strong>
+            Wrong branch: you are in {wrong.branch}; back {wrong.back}
+          </strong>
+        </p>
+      )}
       <div className="reading top-left" data-testid="hud">
         {pose.inside ? (
           <strong>{pose.branch_name ?? node?.label ?? (tree === null ? "In the volume" : "Airway")}</strong>
@@ -504,6 +526,7 @@ function Readings() {
           <Act
             kind="quiet"
             icon={advancing ? "stop" : "play"}
+            testId="fly-on"
             label={advancing ? "Stop" : toFork ? "Fly to next fork" : "Fly to the end"}
             words={
               advancing

@@ -53,6 +53,15 @@ export function NoticeDialog() {
   );
 }
 
+/** Render the button that starts the tour; nothing without a case, and in a window that only watches. */
+function TourButton() {
+  const station = useStation();
+  const there = useApp((state) => state.session?.case != null && !state.watches);
+  return there ? (
+    <Act label="Two-minute tour" words="Explain the window" testId="tour" onPress={() => station.tourTo(0)} />
+  ) : null;
+}
+
 /** Render the card of keys and mouse gestures. */
 export function KeyCard() {
   const station = useStation();
@@ -68,6 +77,7 @@ export function KeyCard() {
         <Dialog data-testid="key-card">
           <div className="dialog-head">
             <Heading slot="title">Keys and mouse</Heading>
+            <TourButton />
             <Act
               kind="icon"
               icon="close"

@@ -6,7 +6,7 @@ import { markProblem, type PictureChoice, pictureName } from "../state/saved-pic
 import type { ViewName } from "../wire/messages";
 import { LEAD_VIEW } from "../wire/views";
 import { useApp, useStation } from "./context";
-import { Act, Choice, SwitchKey, Tip, useKeysBack } from "./controls";
+import { Act, Choice, IconLabel, SwitchKey, Tip, useKeysBack } from "./controls";
 import { Icon } from "./icons";
 
 /** Render the button that opens the menu; nothing in a window that only watches. */
@@ -28,6 +28,7 @@ export function PictureMenu({ view }: { view: ViewName }) {
           data-testid={`picture-menu-${view}`}
         >
           <Icon name="picture" />
+          <IconLabel text="Picture" />
         </Button>
       </Tip>
       <Popover className="popover picture-menu" placement="bottom end" offset={4}>

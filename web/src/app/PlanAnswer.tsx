@@ -1,30 +1,29 @@
 /**
- * Answer of a plan above the pictures: whether the target is reached, the needle, the nearest vessel, the doubts, and
+ * Answer of a plan above the airway picture: whether the target is reached, the needle, the nearest vessel, the doubts, and
  * the print button. The panel of the step contains the details.
  */
 
+import type { AppState } from "../state/app-state";
 import { sentence } from "../state/format";
 import { answeredPlan, answerOf, needleText, type ReachAnswer, vesselText } from "../state/plan-answer";
 import type { Target, TargetPlan } from "../wire/messages";
 import { useApp, useStation } from "./context";
 import { Act } from "./controls";
 import { ReasonsAgainst } from "./steps/ReasonsAgainst";
-import { useWideWindow } from "./wide-window";
 
-/** Return whether the window shows the answer of a plan above the pictures. */
-export function useAnswerShown(): boolean {
-  const wide = useWideWindow();
-  const hasAnswer = useApp((state) => answeredPlan(state) !== null && state.ui.full === null);
-  return wide && hasAnswer;
-}
+/** Return the plan whose answer the window shows above the airway picture; null without one. */
+const shownPlan = (state: AppState): TargetPlan | null => (state.ui.full === null ? answeredPlan(state) : null);
 
-/** Render the answer of the plan that the user reads; nothing without such a plan, and nothing in a narrow window. */
+/** Return whether the card above the airway picture contains the answer of a plan. */
+export const useIsAnswered = (plan: TargetPlan): boolean =>
+  useApp((state) => shownPlan(state)?.target_id === plan.target_id);
+
+/** Render the answer of the plan that the user reads; nothing without such a plan, and nothing in full view. */
 export function PlanAnswer() {
-  const shown = useAnswerShown();
-  const plan = useApp(answeredPlan);
+  const plan = useApp(shownPlan);
   const targets = useApp((state) => state.session?.targets ?? null);
   const target = targets?.find((one) => one.target_id === plan?.target_id) ?? null;
-  return shown && plan !== null && target !== null ? <Answer target={target} plan={plan} /> : null;
+  return plan !== null && target !== null ? <Answer target={target} plan={plan} /> : null;
 }
 
 const MARKS: Readonly<Record<ReachAnswer["kind"], string>> = {
@@ -35,12 +34,12 @@ const MARKS: Readonly<Record<ReachAnswer["kind"], string>> = {
 };
 
 /**
- * Render whether the target is reached, the needle and the nearest vessel at the head of a panel, in a window that is
- * too narrow for the answer above the pictures. A list of reasons below it explains the answer, so that the answer
- * itself has no explanation.
+ * Render whether the target is reached, the needle and the nearest vessel in a panel, for a plan whose answer is not in
+ * the card above the picture. A list of reasons below it explains the answer, so that the answer itself has no
+ * explanation.
  */
 export function PanelAnswer({ plan }: { plan: TargetPlan }) {
-  const answered = useAnswerShown();
+  const answered = useIsAnswered(plan);
   return answered ? null : (
     <div className="panel-answer" data-testid="panel-answer">
       <Reach title="" plan={plan} explained={plan.reasons.length === 0} />
@@ -98,7 +97,8 @@ function Answer({ target, plan }: { target: Target; plan: TargetPlan }) {
   const route = plan.routes[(plan.chosen ?? 1) - 1] ?? null;
   return (
     <section className="plan-answer" aria-label={`Answer for ${target.name}`} data-testid="plan-answer">
-      <Reach title={target.name} plan={plan} explained />
+      {/* The list of reasons explains the answer. */}
+      <Reach title={target.name} plan={plan} explained={plan.reasons.length === 0} />
       <Facts plan={plan} />
       {/* biome-ignore lint/a11y/noNoninteractiveTabindex: the keyboard scrolls a list that is longer than the card */}
       <section className="answer-doubts" data-testid="answer-doubts" aria-label="Doubts" tabIndex={0}>

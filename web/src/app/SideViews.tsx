@@ -56,6 +56,7 @@ function CellTools({ cell, view, isFull }: { cell: SideCell; view: ViewName; isF
       <Act
         kind="icon"
         icon="swap"
+        short="Switch"
         words={`Show the ${next.words} here`}
         keys={keyOf(action)}
         onPress={() => station.act(action)}
@@ -127,6 +128,7 @@ function Cell({ cell, view, isAlone }: CellProps) {
         <Act
           kind="icon"
           icon={isFull ? "leaveFull" : "full"}
+          short={isFull ? "Leave full view" : "Full view"}
           words={isFull ? "Leave full view" : "Full view"}
           keys="double-click"
           onPress={toggleFull}
@@ -222,6 +224,7 @@ function OutlineSwitch() {
   return (
     <SwitchKey
       icon="lumen"
+      short="Outline"
       words="Lumen outline and centrelines (dashed: drawn by hand; dotted: uncertain)"
       keys={keyOf("toggle_outline")}
       on={on}
@@ -244,6 +247,7 @@ function Fit({ view }: { view: FlatView }) {
     <Act
       kind="icon"
       icon="fit"
+      short="Fit"
       words={words}
       keys="Home"
       testId={`fit-${view}`}

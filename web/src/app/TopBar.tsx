@@ -61,14 +61,14 @@ export function TopBar() {
       )}
       {isHu ? null : (
         <Tip words={reason ?? "This volume is not in Hounsfield units."}>
-          <Button className="badge warning" onPress={() => station.ui({ step: "check" })} data-testid="not-hu">
+          <Button className="badge warning" onPress={() => station.toStep("check")} data-testid="not-hu">
             not HU
           </Button>
         </Tip>
       )}
       {doubts.length === 0 ? null : (
         <Tip words={doubts.map(({ words }) => sentence(words)).join(" ")}>
-          <Button className="badge warning" onPress={() => station.ui({ step: "check" })} data-testid="doubts">
+          <Button className="badge warning" onPress={() => station.toStep("check")} data-testid="doubts">
             {plural(doubts.length, "finding")}
           </Button>
         </Tip>
@@ -88,6 +88,7 @@ export function TopBar() {
                   <Tip words={tip}>
                     <Button
                       className="step"
+                      data-step={name}
                       aria-current={name === step ? "step" : undefined}
                       onPress={(event) => {
                         if (event.pointerType === "mouse" && document.activeElement instanceof HTMLElement) {
@@ -138,7 +139,8 @@ function KeyCardButton() {
     <Act
       kind="icon"
       label="?"
-      words="Keys and mouse"
+      words="Keys, mouse and tour"
+      testId="open-keys"
       keys={keyOf("key_card")}
       onPress={() => station.ui({ keyCardOpen: true })}
     />

@@ -10,19 +10,22 @@ import { ContinuedBar } from "./ContinuedBar";
 import { useApp } from "./context";
 import { DevicePanel } from "./DevicePanel";
 import { FilmDialog } from "./FilmDialog";
+import { Guide } from "./Guide";
 import { HistoryList } from "./HistoryList";
 import { KeyFramePanel } from "./KeyFramePanel";
+import { Tabs } from "./ListHead";
 import { DropChoice, MaskDialog } from "./MaskImport";
 import { PathBar } from "./PathBar";
-import { PlanAnswer, useAnswerShown } from "./PlanAnswer";
 import { SaveDialog } from "./SaveDialog";
 import { ScoreDialog } from "./ScoreDialog";
+import { SheetHandle } from "./SheetHandle";
 import { SideViews } from "./SideViews";
 import { StatusBar } from "./StatusBar";
 import { StepPanel } from "./StepPanel";
 import { TargetComparisonDialog } from "./TargetComparison";
 import { cursorOf } from "./ToolTag";
 import { TopBar } from "./TopBar";
+import { ViewTabs } from "./ViewTabs";
 import { WatcherPanel } from "./WatcherPanel";
 
 /** Render the page of an open case. */
@@ -31,10 +34,11 @@ export function WorkstationPage() {
   const devicesOpen = useApp((state) => state.ui.devicesOpen);
   const keysOpen = useApp((state) => state.ui.keysOpen);
   const list = useApp((state) => state.ui.list);
+  const panel = useApp((state) => state.ui.panel);
+  const sheetOpen = useApp((state) => state.ui.sheetOpen);
   const armed = useApp((state) => state.ui.armed);
   const watches = useApp((state) => state.watches);
   const choosesTarget = useApp((state) => choosesTargetIn(state.ui));
-  const answered = useAnswerShown();
   const training = useApp(trainingLayout);
   const lost = useApp((state) => state.connection.status === "lost" || state.connection.status === "refused");
   return (
@@ -49,14 +53,24 @@ export function WorkstationPage() {
       style={armed === null ? undefined : ({ "--tool-cursor": cursorOf(armed) } as CSSProperties)}
     >
       <TopBar />
-      <aside className="left-panel">
+      <aside
+        className="left-panel"
+        data-panel={training === undefined ? panel : "step"}
+        data-sheet={sheetOpen ? "open" : "closed"}
+      >
+        <SheetHandle />
         <ContinuedBar />
         {training !== undefined ? null : list === "history" ? <HistoryList /> : <BranchList />}
+        {training !== undefined ? null : (
+          <div className="panel-tabs">
+            <Tabs place="panel" />
+          </div>
+        )}
         {watches ? <WatcherPanel /> : devicesOpen ? <DevicePanel /> : keysOpen ? <KeyFramePanel /> : <StepPanel />}
       </aside>
-      <main className="pictures" data-answered={answered || undefined}>
-        <PlanAnswer />
+      <main className="pictures">
         <AirwayStage />
+        <ViewTabs />
         <SideViews />
       </main>
       {training === undefined ? <PathBar /> : null}
@@ -67,6 +81,7 @@ export function WorkstationPage() {
       <FilmDialog />
       <ScoreDialog />
       <TargetComparisonDialog />
+      <Guide />
     </div>
   );
 }

@@ -58,6 +58,8 @@ interface ActProps {
   keys?: string;
   icon?: IconName;
   label?: ReactNode;
+  /** Word beside the icon of a button without another label; hidden where there is no space for it. */
+  short?: string;
   kind?: "plain" | "primary" | "quiet" | "icon";
   disabled?: boolean;
   testId?: string;
@@ -65,7 +67,7 @@ interface ActProps {
 }
 
 /** Render a button with a tooltip. */
-export function Act({ words, keys, icon, label, kind = "plain", disabled = false, testId, onPress }: ActProps) {
+export function Act({ words, keys, icon, label, short, kind = "plain", disabled = false, testId, onPress }: ActProps) {
   const name = typeof label === "string" ? {} : { "aria-label": words };
   return (
     <Tip words={words} keys={keys}>
@@ -81,6 +83,7 @@ export function Act({ words, keys, icon, label, kind = "plain", disabled = false
       >
         {icon === undefined ? null : <Icon name={icon} />}
         {label}
+        <IconLabel text={short} />
       </Button>
     </Tip>
   );
@@ -93,6 +96,8 @@ interface SwitchProps {
   keys?: string;
   icon?: IconName;
   label?: string;
+  /** Word beside the icon of a switch without another label; hidden where there is no space for it. */
+  short?: string;
   on: boolean;
   disabled?: boolean;
   testId?: string;
@@ -100,7 +105,18 @@ interface SwitchProps {
 }
 
 /** Render a toggle button with a tooltip. */
-export function SwitchKey({ words, name, keys, icon, label, on, disabled = false, testId, onChange }: SwitchProps) {
+export function SwitchKey({
+  words,
+  name,
+  keys,
+  icon,
+  label,
+  short,
+  on,
+  disabled = false,
+  testId,
+  onChange,
+}: SwitchProps) {
   return (
     <Tip words={words} keys={keys}>
       <ToggleButton
@@ -114,9 +130,15 @@ export function SwitchKey({ words, name, keys, icon, label, on, disabled = false
       >
         {icon === undefined ? null : <Icon name={icon} />}
         {label}
+        <IconLabel text={short} />
       </ToggleButton>
     </Tip>
   );
+}
+
+/** Render the word beside an icon; the style sheets hide the word where there is no space for it. */
+export function IconLabel({ text }: { text: string | undefined }) {
+  return text === undefined ? null : <span className="icon-label">{text}</span>;
 }
 
 interface ChoiceProps<T extends string> {

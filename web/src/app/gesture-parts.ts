@@ -1,16 +1,16 @@
 /** Constants and functions shared by the gestures of all views. */
 
 import type { PictureGesture } from "../input/keymap";
-import type { PointerHandlers } from "../input/pointer";
+import { type PointerHandlers, ZOOM_PER_PX } from "../input/pointer";
 import { greyWindow } from "../state/app-state";
 import type { Workstation } from "./workstation";
+
+export { ZOOM_PER_PX };
 
 /** Rotation of the view per px of drag, degrees. */
 export const ORBIT_DEG_PER_PX = 0.5;
 /** Rotation of the view per key press, degrees. */
 export const ORBIT_KEY_DEG = 5;
-/** Natural logarithm of the zoom factor per px of scrolling. */
-export const ZOOM_PER_PX = 0.0015;
 /** Scrolling, px, that zooms by as much as one press of a zoom key. */
 export const ZOOM_KEY_PX = 120;
 /** Change of the window's width or level per px of drag, HU. */

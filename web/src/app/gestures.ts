@@ -22,6 +22,8 @@ import type { Workstation } from "./workstation";
 const CROSSHAIR_KEY_MM = 1;
 /** Slices per px of scrolling: one wheel notch (100 px) scrolls one slice. */
 const SCROLL_SLICES_PER_PX = 0.01;
+/** Slices per px of a vertical drag by one finger: a drag over a hand's width scrolls through about 60 slices. */
+const FINGER_SLICES_PER_PX = 0.2;
 
 /**
  * Attach the gestures to a view, and return a function that detaches them. `doubleClick` enlarges the view or restores
@@ -92,9 +94,9 @@ export function gesturesOf(station: Workstation, viewport: Viewport, doubleClick
       }
     },
     secondaryClick: () => station.putToolAway(),
-    drag: (at, moved, button) => {
+    drag: (at, moved, button, byFinger) => {
       station.pointing.dragged(viewport, at);
-      now().pointer.drag?.(at, moved, button);
+      now().pointer.drag?.(at, moved, button, byFinger);
     },
     release: () => now().pointer.release?.(),
     hover: (at, shift) => {
@@ -182,6 +184,13 @@ function flatGestures(station: Workstation, viewport: Viewport): Gestures {
     moveCrosshair(add(centre, offset));
   };
   let scrolled = 0;
+  /** Scroll by a number of slices, whose fraction is saved for the next call. */
+  const scrollBy = (slices: number): void => {
+    scrolled += slices;
+    const whole = Math.trunc(scrolled);
+    scrolled -= whole;
+    if (whole !== 0) scroll(whole);
+  };
   return {
     pointer: {
       pans: () => true,
@@ -189,9 +198,14 @@ function flatGestures(station: Workstation, viewport: Viewport): Gestures {
         const lps = pointAt(at);
         if (lps !== null) station.pick(lps);
       },
-      drag: (at, moved, button) => {
+      drag: (at, moved, button, byFinger) => {
         if (button === "window") {
           dragWindow(station, moved);
+          return;
+        }
+        if (byFinger && station.state.ui.armed === null && VIEWS[viewport.view].zoom === "slice") {
+          // A finger has no wheel: a vertical drag scrolls, a tap moves the crosshair, two fingers pan and zoom.
+          scrollBy(moved.dy * FINGER_SLICES_PER_PX);
           return;
         }
         if (button === "pan") {
@@ -220,10 +234,7 @@ function flatGestures(station: Workstation, viewport: Viewport): Gestures {
           placing.zoom(delta, at);
           return;
         }
-        scrolled += delta * SCROLL_SLICES_PER_PX;
-        const slices = Math.trunc(scrolled);
-        scrolled -= slices;
-        if (slices !== 0) scroll(slices);
+        scrollBy(delta * SCROLL_SLICES_PER_PX);
       },
     },
     key: (does) => {

@@ -36,6 +36,9 @@ if (typeof window !== "undefined") {
 /** Return whether the last input was a pointer (mouse, finger, pen), not a key. */
 export const wasPointer = (): boolean => lastKind !== "key";
 
+/** Return whether the last input was a finger or a pen, which is less exact than a mouse. */
+export const wasFinger = (): boolean => lastKind === "finger";
+
 /** Return whether the last input was the mouse. */
 export const wasMouse = (): boolean => lastKind === "mouse";
 

@@ -21,6 +21,7 @@ import { isInside } from "../views/outline";
 import type { Viewport } from "../views/viewport";
 import type { EditTreeMessage, LivePathMessage, PictureHeader, ViewName } from "../wire/messages";
 import { VIEWS } from "../wire/views";
+import { wasFinger } from "./last-input";
 import type { Previewing } from "./previewing";
 import type { Station } from "./station";
 
@@ -40,6 +41,8 @@ interface Pointed {
 const CURSOR_RESTS_MS = 1000;
 /** Largest distance between the last cursor position and a click, CSS px, at which the cursor position is used. */
 const SHAKES_PX = 3;
+/** Factor of the distance from a branch at which a finger still selects the branch, compared with a mouse. */
+const FINGER_REACH = 3;
 
 /**
  * Distance of two points under the cursor, mm, below which a new picture shows the same voxel there; a picture of
@@ -444,10 +447,11 @@ export class Pointing {
         return hit === null ? null : inLumen(hit.lps);
       }
       case "branch": {
+        const reach = wasFinger() ? FINGER_REACH : 1;
         const place =
           tree === null
             ? null
-            : placeFromOutside(tree.index, geometry, pixel, 1 / Math.max(viewport.magnification, 1e-6));
+            : placeFromOutside(tree.index, geometry, pixel, reach / Math.max(viewport.magnification, 1e-6));
         return place === null ? null : ofTree(place, place.lps);
       }
       case "wall": {

@@ -1,4 +1,4 @@
-/** Hook that returns whether the window is wide: the plan's answer above the pictures, tri-plane beside the tree. */
+/** Hook that returns whether the window is wide: tri-plane beside the tree. */
 
 import { useSyncExternalStore } from "react";
 

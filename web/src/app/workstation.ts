@@ -34,9 +34,11 @@ import {
 import { routeDoubts } from "../state/branch-text";
 import { caseKey } from "../state/case-key";
 import { forkAhead } from "../state/fork";
+import { hintsDue, TOUR } from "../state/guide";
 import { type ShownLayer, toggled, wantedLayers } from "../state/lungs";
 import { NOT_SENT } from "../state/optimistic";
 import { PaceMeter } from "../state/pace";
+import { panelOf } from "../state/panels";
 import { type PathCost, startOf, targetMessage } from "../state/path-search";
 import { wasUsedByPen } from "../state/pen";
 import { planOf } from "../state/plan";
@@ -44,7 +46,7 @@ import type { PixelPoint } from "../state/projection";
 import { clampToRoute } from "../state/route";
 import { SpeedMeter, shownSpeed } from "../state/speed";
 import { Store } from "../state/store";
-import { type Armed, isBrush, isLesionBrush, type LesionTool, nextBrush } from "../state/tools";
+import { type Armed, isBrush, isLesionBrush, type LesionTool, nextBrush, wantsBranch } from "../state/tools";
 import { asVec3, cameraFromMatrix, type Vec3 } from "../state/vec";
 import { nextIn, showing, viewZoomedBy } from "../state/view-table";
 import type { WallPoint } from "../state/wall-point";
@@ -589,7 +591,9 @@ export class Workstation implements Station {
     this.pointing.forget();
     this.answerDoubt(false);
     const step = tool === "target" || tool === "start" || isLesionBrush(tool) ? "target" : "airways";
-    this.ui({ armed: armed === tool ? null : tool, forkHeld: null, renaming: null, step });
+    // The panel contains the instruction of the tool; a tool for branches is also applied to rows of the list.
+    const panel = wantsBranch(tool, false) ? this.state.ui.panel : "step";
+    this.ui({ armed: armed === tool ? null : tool, forkHeld: null, renaming: null, step, panel });
   }
 
   /** Activate the brush for a target's boundary. */
@@ -626,7 +630,31 @@ export class Workstation implements Station {
   /** Go to a step and deactivate the tool of the previous step. */
   toStep(step: Ui["step"]): void {
     if (step !== this.state.ui.step) this.disarm();
-    this.ui({ step });
+    this.ui({ step, panel: panelOf(step) });
+  }
+
+  /**
+   * Show a stop of the tour, with its step; null, or a number past the last stop, ends the tour and
+   * restores the step before it.
+   */
+  tourTo(at: number | null): void {
+    const { tourAt, step } = this.state.ui;
+    if (tourAt === null) this.#stepBeforeTour = step;
+    const next = at === null ? undefined : TOUR[at];
+    this.toStep(next?.step ?? (next === undefined ? this.#stepBeforeTour : step));
+    this.ui({ tourAt: next === undefined ? null : at, keyCardOpen: false, devicesOpen: false, full: null });
+  }
+
+  #stepBeforeTour: Ui["step"] = "airways";
+
+  /** End the tour, or close the hints if they have the focus; return false if neither is shown. */
+  #leaveGuide(): boolean {
+    if (this.state.ui.tourAt !== null) {
+      this.tourTo(null);
+      return true;
+    }
+    if (!hintsDue(this.state) || document.activeElement?.closest(".guide-card") == null) return false;
+    return this.send({ type: "read_hints" });
   }
 
   /**
@@ -651,7 +679,7 @@ export class Workstation implements Station {
   /** Show the step whose panel contains the question whether to draw a branch without evidence. */
   #showDoubtStep(): void {
     this.previewing.forget();
-    if (this.state.ui.step !== "airways") this.ui({ step: "airways" });
+    this.ui({ step: "airways", panel: "step" });
   }
 
   /** Answer the question about a branch without evidence: draw the branch by hand, or discard it. */
@@ -668,7 +696,7 @@ export class Workstation implements Station {
     if (branchId === null) this.notice("Choose a branch first: click it in the list or in a view.");
     else {
       this.disarm();
-      this.ui({ renaming: branchId, step: "airways" });
+      this.ui({ renaming: branchId, step: "airways", panel: "step" });
     }
   }
 
@@ -761,7 +789,13 @@ export class Workstation implements Station {
     rename: () => this.rename(shownBranch(this.state)),
     brush_smaller: () => this.ui({ brushMm: nextBrush(this.state.ui.brushMm, -1) }),
     brush_larger: () => this.ui({ brushMm: nextBrush(this.state.ui.brushMm, 1) }),
-    find_branch: () => document.querySelector<HTMLInputElement>(".branch-filter input")?.focus(),
+    find_branch: () => {
+      const focus = () => document.querySelector<HTMLInputElement>(".branch-filter input")?.focus();
+      this.ui({ list: "airways" });
+      focus();
+      // A list that was hidden appears with the next refresh of the display.
+      requestAnimationFrame(focus);
+    },
     window_airway: () => this.#setWindow("window_airway"),
     window_lung: () => this.#setWindow("window_lung"),
     window_mediastinum: () => this.#setWindow("window_mediastinum"),
@@ -773,11 +807,11 @@ export class Workstation implements Station {
     add_key: () => this.addKey(),
     key_frames: () => this.#showKeys(!this.state.ui.keysOpen),
     save: () => this.save(),
-    history: () => this.ui({ list: this.state.ui.list === "history" ? "airways" : "history" }),
+    history: () => this.ui({ list: this.state.ui.list === "history" ? "airways" : "history", panel: "list" }),
     key_card: () => this.ui({ keyCardOpen: !this.state.ui.keyCardOpen }),
     wall_point: () => this.#wallPointAhead(),
     leave: () => {
-      if (this.putToolAway()) return;
+      if (this.putToolAway() || this.#leaveGuide()) return;
       this.flight.stopAuto();
       this.pausePlaying();
       if (this.state.ui.full !== null) this.ui({ full: null });

@@ -27,6 +27,7 @@ const pose = (key_frames_s: number | null): PoseMessage => ({
   key_frames_s,
   flight: null,
   by_device: false,
+  back_to_route_mm: null,
 });
 
 function player(keys: KeyFramesMessage | null = KEYS) {

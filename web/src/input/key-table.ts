@@ -661,6 +661,17 @@ export const MOUSE: readonly { readonly where: string; readonly what: readonly (
       ["Right click", "cancel the tool"],
     ],
   },
+  {
+    where: "Touch screen",
+    what: [
+      ["Tap", "choose a branch; in a slice, move the crosshair"],
+      ["One finger in a slice", "scroll through the slices"],
+      ["Two fingers in a slice", "zoom (apart or together) and pan"],
+      ["Two fingers in the airway view", "advance (apart) and withdraw (together)"],
+      ["Left stick", "advance and withdraw, roll"],
+      ["Right stick", "look around, bend the scope"],
+    ],
+  },
 ];
 
 /** Presets of the grey-value window, width and level in HU, by action. */

@@ -15,7 +15,8 @@ export interface PointerHandlers {
   click?(at: PointerPlace, count: number): void;
   /** Handle a press of the right button without movement. */
   secondaryClick?(at: PointerPlace): void;
-  drag?(at: PointerPlace, moved: { dx: number; dy: number }, button: DragButton): void;
+  /** Handle a drag; `byFinger` is true for one finger on a touch screen. */
+  drag?(at: PointerPlace, moved: { dx: number; dy: number }, button: DragButton, byFinger: boolean): void;
   /** Handle the release of the button at the end of a drag. */
   release?(): void;
   /**
@@ -31,6 +32,25 @@ const CLICK_PX = 3;
 /** Scrolling by one line of a wheel that counts in lines, px. */
 const LINE_PX = 16;
 
+/** Middle and distance of two fingers; null with one finger. */
+function pairOf(fingers: ReadonlyMap<number, PointerPlace>): { middle: PointerPlace; apart: number } | null {
+  const [a, b] = [...fingers.values()];
+  if (a === undefined || b === undefined) return null;
+  return { middle: { x: (a.x + b.x) / 2, y: (a.y + b.y) / 2 }, apart: Math.hypot(a.x - b.x, a.y - b.y) };
+}
+
+/** Natural logarithm of the zoom factor per px of scrolling, as views apply it to a wheel. */
+export const ZOOM_PER_PX = 0.0015;
+/** Smallest distance of two fingers, px: below it, a small movement would zoom by a large factor. */
+const LEAST_APART_PX = 24;
+
+/** Return the scrolling, px, that zooms by the ratio of two distances between fingers; below 0 for spread fingers. */
+export function pinchScrollPx(beforePx: number, afterPx: number): number {
+  const before = Math.max(beforePx, LEAST_APART_PX);
+  const after = Math.max(afterPx, LEAST_APART_PX);
+  return -Math.log(after / before) / ZOOM_PER_PX;
+}
+
 function buttonOf(event: PointerEvent, pans: boolean): DragButton | null {
   if (event.button === 2) return "window";
   if (event.button === 1) return pans ? "pan" : null;
@@ -41,6 +61,8 @@ function buttonOf(event: PointerEvent, pans: boolean): DragButton | null {
 /** Add the pointer listener to the element of a picture; return a function that removes it. */
 export function listenToPointer(element: HTMLElement, handlers: PointerHandlers): () => void {
   let drag: { id: number; x: number; y: number; button: DragButton; clicks: boolean; moved: boolean } | null = null;
+  /** The fingers on the element; two of them zoom and pan. */
+  const fingers = new Map<number, PointerPlace>();
   /**
    * Whether a click event of the browser follows the release of the mouse button; the event has the number of the click
    * in its series.
@@ -52,7 +74,28 @@ export function listenToPointer(element: HTMLElement, handlers: PointerHandlers)
     const box = element.getBoundingClientRect();
     return { x: event.clientX - box.left, y: event.clientY - box.top };
   };
+  /** Handle a movement of one of two fingers: pan by the movement of their middle, zoom by their distance. */
+  const moveTwo = (event: PointerEvent) => {
+    const before = pairOf(fingers);
+    fingers.set(event.pointerId, place(event));
+    const after = pairOf(fingers);
+    if (before === null || after === null) return;
+    const zoom = pinchScrollPx(before.apart, after.apart);
+    if (zoom !== 0) handlers.wheel?.(zoom, true, after.middle);
+    if (!(handlers.pans?.() ?? false)) return;
+    const moved = { dx: after.middle.x - before.middle.x, dy: after.middle.y - before.middle.y };
+    if (moved.dx !== 0 || moved.dy !== 0) handlers.drag?.(after.middle, moved, "pan", false);
+  };
   const down = (event: PointerEvent) => {
+    if (event.pointerType === "touch" && fingers.size < 2) fingers.set(event.pointerId, place(event));
+    if (fingers.size === 2) {
+      // A second finger ends the drag of the first one, which must not act as a click either.
+      if (drag !== null) handlers.release?.();
+      drag = null;
+      clicks.forget();
+      element.setPointerCapture(event.pointerId);
+      return;
+    }
     const button = buttonOf(event, handlers.pans?.() ?? false);
     clickFollows = false;
     if (drag !== null || button === null) return;
@@ -67,6 +110,11 @@ export function listenToPointer(element: HTMLElement, handlers: PointerHandlers)
     element.setPointerCapture(event.pointerId);
   };
   const move = (event: PointerEvent) => {
+    if (fingers.size === 2 && fingers.has(event.pointerId)) {
+      moveTwo(event);
+      return;
+    }
+    if (fingers.has(event.pointerId)) fingers.set(event.pointerId, place(event));
     if (drag === null) {
       handlers.hover?.(place(event), event.shiftKey);
       return;
@@ -76,9 +124,12 @@ export function listenToPointer(element: HTMLElement, handlers: PointerHandlers)
     const dy = event.clientY - drag.y;
     if (!drag.moved && Math.hypot(dx, dy) < CLICK_PX) return;
     drag = { ...drag, moved: true, x: event.clientX, y: event.clientY };
-    handlers.drag?.(place(event), { dx, dy }, drag.button);
+    handlers.drag?.(place(event), { dx, dy }, drag.button, event.pointerType === "touch");
   };
   const up = (event: PointerEvent) => {
+    const wasPinch = fingers.size === 2 && fingers.delete(event.pointerId);
+    fingers.delete(event.pointerId);
+    if (wasPinch) handlers.release?.();
     if (drag === null || event.pointerId !== drag.id) return;
     const wasClick = !drag.moved && event.type === "pointerup";
     const held = drag;

@@ -46,6 +46,18 @@ function flight(route: RouteInfo | null = ROUTE) {
 }
 
 describe("Steering", () => {
+  it("A stick of the flight pad moves the tip in proportion to its deflection until it rests.", () => {
+    const { made, sent } = flight();
+    made.stick("advance", 0.5);
+    made.stick("yaw", -3);
+    expect(made.isMoving).toBe(true);
+    made.tick(0.1);
+    expect(sent).toEqual([{ type: "steer", advance_mm: 0.05 * SPEED_MM_S, yaw_rad: -0.1, pitch_rad: 0, roll_rad: 0 }]);
+    made.stick("advance", 0);
+    made.stick("yaw", 0);
+    expect(made.isMoving).toBe(false);
+  });
+
   it("isMoving is true while a key is held or movement waits to be sent, and false at rest.", () => {
     const { made } = flight();
     expect(made.isMoving).toBe(false);

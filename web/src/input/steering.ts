@@ -41,6 +41,8 @@ export class Steering {
     pitch: new Set(),
     yaw: new Set(),
   };
+  /** Deflection of the sticks of the flight pad, -1 to 1. */
+  readonly #sticks: Record<HoldAxis, number> = { advance: 0, roll: 0, pitch: 0, yaw: 0 };
   #slow = false;
   #pending = { advance_mm: 0, yaw_rad: 0, pitch_rad: 0, roll_rad: 0 };
   #auto: { atMm: number; stopMm: number } | null = null;
@@ -53,6 +55,12 @@ export class Steering {
     if (down) this.#held[axis].add(sign);
     else this.#held[axis].delete(sign);
     if (down && axis === "advance") this.stopAuto();
+  }
+
+  /** Set the deflection of a stick of the flight pad, -1 to 1; the tip moves until the stick is back at 0. */
+  stick(axis: HoldAxis, deflection: number): void {
+    this.#sticks[axis] = Math.min(Math.max(deflection, -1), 1);
+    if (deflection !== 0 && axis === "advance") this.stopAuto();
   }
 
   slow(on: boolean): void {
@@ -70,7 +78,8 @@ export class Steering {
 
   /** Whether a key is held, movement waits to be sent, or the automatic flight runs. */
   get isMoving(): boolean {
-    const isHeld = Object.values(this.#held).some((signs) => signs.size > 0);
+    const isStick = Object.values(this.#sticks).some((deflection) => deflection !== 0);
+    const isHeld = isStick || Object.values(this.#held).some((signs) => signs.size > 0);
     return isHeld || this.#auto !== null || Object.values(this.#pending).some((amount) => amount !== 0);
   }
 
@@ -118,7 +127,7 @@ export class Steering {
   }
 
   #direction(axis: HoldAxis): number {
-    let sum = 0;
+    let sum = this.#sticks[axis];
     for (const sign of this.#held[axis]) sum += sign;
     return sum;
   }

@@ -77,6 +77,7 @@ function pose(poseId: number, pathMillimetres: number | null = null): PoseMessag
     key_frames_s: null,
     flight: null,
     by_device: false,
+    back_to_route_mm: null,
   };
 }
 
@@ -264,6 +265,7 @@ describe("cases and jobs", () => {
       scopes: [],
       storage: null,
       no_video: null,
+      hints_read: false,
     });
     expect(following(INITIAL_STATE, start, sent({ type: "accept_notice" })).start?.notice_accepted).toBe(true);
   });

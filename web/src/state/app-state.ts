@@ -43,6 +43,7 @@ import type { LiveAnswer } from "./live-path";
 import type { ShownLayer } from "./lungs";
 import { allUnderWay, type Local, type Optimistic, shown, underWay } from "./optimistic";
 import { NO_PACE, type Pace } from "./pace";
+import { opensPanel, type PanelName, panelAfter, panelOf } from "./panels";
 import type { PathCost } from "./path-search";
 import { NOT_PLAYING, type Playing } from "./playing";
 import { FIRST_PICTURE, type PictureChoice } from "./saved-picture";
@@ -123,6 +124,10 @@ export interface Ui {
   /** The patient point under the cursor, LPS mm; null if the view cannot provide one. */
   readonly pointedLps: Vec3 | null;
   readonly keyCardOpen: boolean;
+  /** Number of the current stop of the tour; null while no tour runs. */
+  readonly tourAt: number | null;
+  /** Number of the current hint of the first minute. */
+  readonly hintAt: number;
   /** Whether the dialog that saves the case as a named file is open. */
   readonly saveOpen: boolean;
   /** Whether the dialog that compares the targets is open. */
@@ -140,6 +145,10 @@ export interface Ui {
   readonly continuedReadS: number | null;
   /** The list that the left column shows. */
   readonly list: "airways" | "history";
+  /** What the left column shows in a window that is too narrow for both: the list, or the panel of the step. */
+  readonly panel: PanelName;
+  /** Whether the left column, which is a sheet at the bottom of a touch screen, is open there. */
+  readonly sheetOpen: boolean;
   /** Whether the panel of input devices replaces the panel of the step. */
   readonly devicesOpen: boolean;
   /** Whether the panel of key frames replaces the panel of the step. */
@@ -318,6 +327,8 @@ export const INITIAL_STATE: AppState = {
     cursor: null,
     pointedLps: null,
     keyCardOpen: false,
+    tourAt: null,
+    hintAt: 0,
     saveOpen: false,
     comparisonOpen: false,
     openScore: null,
@@ -325,6 +336,8 @@ export const INITIAL_STATE: AppState = {
     storageOpen: false,
     continuedReadS: null,
     list: "airways",
+    panel: "list",
+    sheetOpen: true,
     devicesOpen: false,
     keysOpen: false,
     autoSpeedMmS: AUTO_SPEED_MM_S,
@@ -429,7 +442,13 @@ export function reduce(state: AppState, event: AppEvent): AppState {
         ...state,
         probed: event.change.cursorLps === null ? null : state.probed,
         // A change of the step closes the panel of key frames, so that the panel of the step is visible.
-        ui: { ...state.ui, keysOpen: event.change.step === undefined && state.ui.keysOpen, ...event.change },
+        ui: {
+          ...state.ui,
+          keysOpen: event.change.step === undefined && state.ui.keysOpen,
+          panel: panelAfter(state.ui, event.change),
+          sheetOpen: state.ui.sheetOpen || opensPanel(event.change),
+          ...event.change,
+        },
       };
   }
 }
@@ -552,6 +571,7 @@ function sessionChanged(state: AppState, session: StateMessage): AppState {
         comparisonOpen: false,
         openScore: null,
         awaitedScore: null,
+        tourAt: null,
         step: "open",
       },
     };
@@ -563,6 +583,7 @@ function sessionChanged(state: AppState, session: StateMessage): AppState {
       ...FIRST_SEARCH,
       film: null,
       step: hasFindings ? "check" : "airways",
+      panel: panelOf(hasFindings ? "check" : "airways"),
     };
     next = { ...next, ...NOTHING_SHOWN, frames: {}, picks: [], local: NOTHING_LOCAL, ui };
   }
@@ -644,6 +665,8 @@ function foresee(state: AppState, message: ClientMessage, number: number): AppSt
       return { ...state, cancelledJobs: [...state.cancelledJobs, message.job_id] };
     case "accept_notice":
       return state.start === null ? state : { ...state, start: { ...state.start, notice_accepted: true } };
+    case "read_hints":
+      return state.start === null ? state : { ...state, start: { ...state.start, hints_read: true } };
     default:
       return message.type in SETS ? fieldSet(state, message as FieldSetting, number) : state;
   }

@@ -13,6 +13,7 @@ const ENTRY: RecentCase = {
   used_s: NOW_S,
   begun_s: NOW_S - 60,
   num_changes: 12,
+  num_nodules: null,
   num_bytes: 1_830_912,
   picture: null,
   opens: true,
@@ -26,6 +27,11 @@ describe("caseFacts", () => {
     expect(caseFacts(ENTRY, [ENTRY], NOW_MS)).toEqual(["12 changes", `last used ${clock(NOW_S, NOW_MS)}`]);
     expect(changesText(0)).toBe("no changes");
     expect(changesText(1)).toBe("1 change");
+  });
+
+  it("The number of nodules precedes the changes, if it is known.", () => {
+    expect(caseFacts({ ...ENTRY, num_nodules: 2 }, [], NOW_MS).slice(0, 2)).toEqual(["2 nodules", "12 changes"]);
+    expect(caseFacts({ ...ENTRY, num_nodules: 0 }, [], NOW_MS)[0]).toBe("no nodules");
   });
 
   it("The scan date is the same day in every time zone.", () => {

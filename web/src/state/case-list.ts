@@ -27,6 +27,9 @@ export function sizeText(bytes: number): string {
 /** Return the number of changes as text. */
 export const changesText = (count: number): string => (count === 0 ? "no changes" : plural(count, "change"));
 
+/** Return the number of nodules as text; 0 as *no nodules*. */
+export const nodulesText = (count: number): string => (count === 0 ? "no nodules" : plural(count, "nodule"));
+
 /** Return the scan date as text, `scan of 3 May 2021`. The date has no time, so that no time zone shifts it. */
 export function scanText(isoDate: string): string {
   const day = new Date(`${isoDate}T00:00:00Z`);
@@ -35,11 +38,12 @@ export function scanText(isoDate: string): string {
 }
 
 /**
- * Return the facts that distinguish a case from others: scan date, number of changes, last use, and a short code if
+ * Return the facts that distinguish a case from others: scan date, number of nodules and of changes, last use, and a short code if
  * another case has the same title.
  */
 export function caseFacts(entry: RecentCase, all: readonly RecentCase[], nowMs: number): string[] {
   const facts = entry.scanned_on === null ? [] : [scanText(entry.scanned_on)];
+  if (entry.num_nodules !== null) facts.push(nodulesText(entry.num_nodules));
   if (entry.num_changes !== null) facts.push(changesText(entry.num_changes));
   facts.push(`last used ${entry.used_s === null ? entry.date.slice(0, 10) : clock(entry.used_s, nowMs)}`);
   if (all.some(({ recent_id, title }) => recent_id !== entry.recent_id && title === entry.title))

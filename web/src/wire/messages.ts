@@ -873,6 +873,11 @@ export interface AcceptNoticeMessage {
   readonly type: "accept_notice";
 }
 
+/** Report that the user has read or closed the hints of the first minute. */
+export interface ReadHintsMessage {
+  readonly type: "read_hints";
+}
+
 /** Sample of an input device that is connected to the window.
 
     A sample contains exactly one of: an orientation (with or without a position), axes, or the controls of a scope
@@ -1339,6 +1344,7 @@ export interface RecentCase {
   readonly used_s: number | null;
   readonly begun_s: number | null;
   readonly num_changes: number | null;
+  readonly num_nodules: number | null;
   readonly num_bytes: number;
   readonly picture: string | null;
   readonly opens: boolean;
@@ -1394,6 +1400,7 @@ export interface StartMessage {
   readonly scopes: readonly Scope[];
   readonly storage: Storage | null;
   readonly no_video: string | null;
+  readonly hints_read: boolean;
 }
 
 /** A note to the user about the case, with a code that does not change between versions. */
@@ -1681,6 +1688,7 @@ export interface PoseMessage {
   readonly key_frames_s: number | null;
   readonly flight: FlightPlace | null;
   readonly by_device: boolean;
+  readonly back_to_route_mm: number | null;
 }
 
 /** Progress of a job; the fraction and the remaining time are null if they are not known. */
@@ -2253,7 +2261,7 @@ export const SETS = {
 } as const;
 
 /** What a client sends that is no command, and that `handled` does not count. */
-export const NO_COMMANDS: readonly string[] = ["hello", "open_upload", "import_mask", "import_target", "measure_upload", "layout", "ack", "probe", "pick", "live_path", "branch_detail", "set_frame_rate", "set_layers", "ask_storage", "set_watch_page", "send_away", "accept_notice", "device_sample", "connect_device", "disconnect_device", "publish_tip", "set_phone", "watch_devices", "start_recording", "target_mark", "preview_edit", "open_key_frames"];
+export const NO_COMMANDS: readonly string[] = ["hello", "open_upload", "import_mask", "import_target", "measure_upload", "layout", "ack", "probe", "pick", "live_path", "branch_detail", "set_frame_rate", "set_layers", "ask_storage", "set_watch_page", "send_away", "accept_notice", "read_hints", "device_sample", "connect_device", "disconnect_device", "publish_tip", "set_phone", "watch_devices", "start_recording", "target_mark", "preview_edit", "open_key_frames"];
 
 export type ClientMessage =
   | OpenPathMessage
@@ -2363,6 +2371,7 @@ export type ClientMessage =
   | SetWatchPageMessage
   | SendAwayMessage
   | AcceptNoticeMessage
+  | ReadHintsMessage
   | DeviceSampleMessage
   | ConnectDeviceMessage
   | DisconnectDeviceMessage

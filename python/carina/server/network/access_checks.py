@@ -18,6 +18,8 @@ from typing import Any, Literal
 
 SAFE_METHODS = frozenset({"GET", "HEAD"})
 MAX_COOKIE_BYTES = 8192
+COOKIE_S = 30 * 24 * 3600
+"""Lifetime of the cookie of a browser on this machine, s; the cookie is valid only as long as this process runs."""
 
 
 def is_loopback(host: str) -> bool:
@@ -118,6 +120,7 @@ class Gate:
         self.secret = secrets.token_urlsafe(32)
         self._cookie_value = secrets.token_urlsafe(32)
         self._tokens: set[str] = set()
+        self._used_tokens: set[str] = set()
         self._lock = threading.Lock()
 
     @property
@@ -127,24 +130,38 @@ class Gate:
 
     @property
     def set_cookie(self) -> str:
-        """Value of the Set-Cookie header."""
+        """Value of the Set-Cookie header; the browser removes the cookie when the user closes the browser."""
         return f"{self.cookie_name}={self._cookie_value}; Path=/; HttpOnly; SameSite=Strict"
 
+    @property
+    def set_lasting_cookie(self) -> str:
+        """Value of the Set-Cookie header of a cookie that a closed browser keeps, for browsers on this machine."""
+        return f"{self.set_cookie}; Max-Age={COOKIE_S}"
+
     def new_token(self) -> str:
-        """Return a new token for a start URL; the token works once."""
+        """Return a new token for a start URL; the token works once, and again for the user of this process."""
         token = secrets.token_urlsafe(32)
         with self._lock:
             self._tokens.add(token)
         return token
 
     def redeem(self, token: str) -> bool:
-        """Return whether a start token is valid, and invalidate the token."""
+        """Return whether a start token is valid, and invalidate the token for other users."""
         if not token.isascii():
             return False
         with self._lock:
             found = [known for known in self._tokens if secrets.compare_digest(known, token)]
             self._tokens.difference_update(found)
+            self._used_tokens.update(found)
         return bool(found)
+
+    def is_used(self, token: str) -> bool:
+        """Return whether a start token was valid and has been redeemed."""
+        if not token.isascii():
+            return False
+        with self._lock:
+            # Every token is compared, so that the time does not depend on the position of the match.
+            return any([secrets.compare_digest(known, token) for known in self._used_tokens])  # noqa: C419
 
     def refusal(self, *, method: str | None, headers: Mapping[str, str]) -> str | None:
         """Return the reason why a request is refused, or None; cookies are not checked here.

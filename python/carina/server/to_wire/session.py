@@ -45,6 +45,7 @@ def start_message(
     patient_citation: Citation | None,
     storage: StorageInfo | None = None,
     no_video: str | None = None,
+    hints_read: bool = True,
 ) -> wire.Start:
     """Return the contents of the start page; the message contains no file paths."""
     cases = tuple(_case_list_entry(case) for case in recent)
@@ -60,7 +61,7 @@ def start_message(
         wire.Scope(s.name, s.title, s.tip_mm, round(s.fit_mm, 2), s.channel_mm, s.fov_deg, s.view_up_deg)
         for s in scope_presets()
     )
-    return wire.Start(notice_accepted, cases, demos(patient_citation), scopes, beside, no_video)
+    return wire.Start(notice_accepted, cases, demos(patient_citation), scopes, beside, no_video, hints_read)
 
 
 def _case_list_entry(case: ListedCase) -> wire.CaseListEntry:
@@ -73,6 +74,7 @@ def _case_list_entry(case: ListedCase) -> wire.CaseListEntry:
         used_s=None if case.num_changes is None else case.used_s,
         begun_s=case.begun_s,
         num_changes=case.num_changes,
+        num_nodules=case.num_nodules,
         num_bytes=case.num_bytes,
         picture=None if made_s is None else f"api/cases/{case.recent_id}/picture.jpg?made={made_s:.3f}",
         opens=case.opens,
@@ -285,6 +287,7 @@ def pose_message(info: PoseInfo) -> wire.PoseMessage:
         key_frames_s=info.key_frames_s,
         flight=info.flight,
         by_device=info.by_device,
+        back_to_route_mm=None if info.back_to_route_mm is None else round(info.back_to_route_mm, 1),
     )
 
 

@@ -74,6 +74,8 @@ class SharedTexts:
                 patient_citation=self._patient_citation,
                 storage=cases.storage(),
                 no_video=video_problem(),
+                # Without a store nothing could be remembered, and the hints would return in each window.
+                hints_read=store is None or store.hints_read(),
             )
         )
 

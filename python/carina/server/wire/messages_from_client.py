@@ -161,3 +161,7 @@ class SendAway(ClientMessage, frozen=True):
 
 class AcceptNotice(ClientMessage, frozen=True):
     """Confirmation that the user read the notice "Not a medical device"."""
+
+
+class ReadHints(ClientMessage, frozen=True):
+    """Report that the user has read or closed the hints of the first minute."""

@@ -68,6 +68,8 @@ class CaseListEntry(FrozenValue, frozen=True):
     """Time when the case was begun, in seconds since 1970."""
     num_changes: Count | None = None
     """Number of changes; null if only the path of the CT is stored."""
+    num_nodules: Count | None = None
+    """Number of targets with a size; null if it is not known."""
     num_bytes: Bytes = 0
     """Size of the stored case on the disk, without its CT."""
     picture: Words | None = None
@@ -129,6 +131,8 @@ class Start(ServerMessage, frozen=True):
     storage: Storage | None = None
     no_video: Words | None = None
     """Reason why this installation saves no videos, with the command that changes it; None if it does."""
+    hints_read: bool = True
+    """Whether the user has read the hints of the first minute, which a window shows once."""
 
 
 class OtherSeries(FrozenValue, frozen=True):
@@ -356,6 +360,9 @@ class PoseMessage(ServerMessage, frozen=True):
     """Position of the tip in a recorded flight that is replayed; null if another cause moved the tip last."""
     by_device: bool
     """Whether an input device moved the tip last."""
+    back_to_route_mm: float | None = None
+    """Distance in mm along the centrelines back to the fork where the tip left the route, in mode ``scope``; null
+    otherwise."""
 
 
 class Progress(ServerMessage, frozen=True):

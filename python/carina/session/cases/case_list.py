@@ -36,6 +36,8 @@ class ListedCase:
     """Time of the last use in seconds since 1970; the start of the day if only the date is known."""
     num_changes: int | None = None
     """Number of changes; None if only the path of the CT is stored."""
+    num_nodules: int | None = None
+    """Number of targets with a size; None if it is not known."""
     num_bytes: int = 0
     opens: bool = True
     """Whether the CT of the case is available."""
@@ -230,6 +232,7 @@ def _entry_of_record(record: CaseRecord, records: CaseRecords, *, opens: bool) -
         title=record.shown_title,
         used_s=record.used_s,
         num_changes=record.num_changes,
+        num_nodules=record.num_nodules,
         num_bytes=records.num_bytes(record),
         opens=opens,
         scanned_on=record.scanned_on,

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from carina.case.document import Document, KeyFrames, Point
 from carina.case.history import History
 from carina.case.recordings import RecordingFacts, RecordingWriter
-from carina.case.routes import AirwayIndex, ChosenRoute, path_move
+from carina.case.routes import AirwayIndex, ChosenRoute, back_to_route_mm, path_move
 from carina.case.stored_state import Moment
 from carina.commands import ArmPen, TakeMask
 from carina.errors import CarinaError
@@ -400,7 +400,16 @@ def pose_info(case: OpenCase, pose_id: int) -> PoseInfo:
         key_frames_s=case.last_move.key_frames_s,
         flight=case.last_move.flight,
         by_device=case.last_move.by == "device",
+        back_to_route_mm=_back_to_route_mm(case, branch),
     )
+
+
+def _back_to_route_mm(case: OpenCase, branch: Branch | None) -> float | None:
+    """Return the distance in mm back to the route, in mode *scope* in a wrong branch; else None."""
+    airways, route, tip = case.document.airways, case.document.route, case.navigator
+    if tip.mode != "scope" or branch is None or airways is None or route is None or not route.lumen_known:
+        return None
+    return back_to_route_mm(airways.tree, route, branch.id, tip.pose.position_lps)
 
 
 def as_point(values: Iterable[Any]) -> Point:

@@ -511,6 +511,7 @@ class CaseSaver:
                 # The time is read first, so that everything done before the stated time is on the disk.
                 now_s = self._records.now_s()
                 moment = moment_of(self.case)
+                num_nodules = sum(target.lesion is not None for target in self.case.document.targets)
                 flights = self.case.flights.listed
                 recorded, removed = self.case.flights.unwritten, self.case.flights.removed
             self.file.save(moment)
@@ -525,7 +526,8 @@ class CaseSaver:
                 self.case.flights.unwritten = tuple(one for one in self.case.flights.unwritten if not one.is_complete)
             facts["saved_s"] = now_s
             place = self.place or self.held.record.place
-            notes = {"used_s": now_s, "place": place, "num_changes": moment.position} | notes
+            counts = {"num_changes": moment.position, "num_nodules": num_nodules}
+            notes = {"used_s": now_s, "place": place} | counts | notes
             if not self._is_use_numbered:
                 notes["use_number"] = self._records.next_use_number()
                 self._is_use_numbered = True

@@ -83,6 +83,8 @@ class PoseInfo:
     """Position of the tip in a recorded flight; None if another cause moved the tip last."""
     by_device: bool = False
     """Whether a device moved the tip last."""
+    back_to_route_mm: float | None = None
+    """Distance in mm along the centrelines back to the route, in mode *scope* in a wrong branch; else None."""
 
 
 @one_line

@@ -1,4 +1,4 @@
-"""Private settings files: paths of CTs opened before, accepted safety notice, CT cache, available instruments.
+"""Private settings files: paths of CTs opened before, read notice and hints, CT cache, available instruments.
 
 A path is needed to open a CT again and is never sent to a client, which receives an id, a date and a neutral alias.
 """
@@ -51,6 +51,7 @@ class LocalStore:
         self._messages: list[str] = []
         self._recent_file = folder / "recent.json"
         self._notice_file = folder / "notice.json"
+        self._hints_file = folder / "hints.json"
         self._storage_file = folder / "storage.json"
         self._instruments_file = folder / "instruments.json"
 
@@ -75,7 +76,13 @@ class LocalStore:
 
     def moved_aside(self) -> tuple[str, ...]:
         """Return the messages about unreadable files that were moved aside; each message is returned once."""
-        for path in (self._recent_file, self._notice_file, self._storage_file, self._instruments_file):
+        for path in (
+            self._recent_file,
+            self._notice_file,
+            self._hints_file,
+            self._storage_file,
+            self._instruments_file,
+        ):
             self._read(path)
         messages, self._messages = tuple(self._messages), []
         return messages
@@ -116,6 +123,14 @@ class LocalStore:
     def accept_notice(self) -> None:
         """Store that the user accepted the safety notice."""
         self._write(self._notice_file, {"format": "carina-notice", "version": 1, "accepted": True})
+
+    def hints_read(self) -> bool:
+        """Return whether the user has read the hints of the first minute."""
+        return self._read(self._hints_file).get("read") is True
+
+    def read_hints(self) -> None:
+        """Store that the user has read the hints of the first minute."""
+        self._write(self._hints_file, {"format": "carina-hints", "version": 1, "read": True})
 
     def keeps_cts(self) -> bool:
         """Return whether opened CTs are cached, so that they open faster."""

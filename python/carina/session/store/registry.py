@@ -86,6 +86,8 @@ class CaseRecord(FrozenValue, frozen=True):
     """Number of the last use: each use of any case gets the next number, which a clock cannot set back."""
     num_changes: Count = 0
     """Number of steps that are not undone."""
+    num_nodules: Count | None = None
+    """Number of targets with a size; None in records of earlier versions, until the case is saved again."""
     alias: TitleText | None = None
     """Name that the user gave; None without such a name."""
     scanned_on: ShortText | None = None

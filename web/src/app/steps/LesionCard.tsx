@@ -72,7 +72,7 @@ export function LesionCard({ target }: { target: Target }) {
             testId="take-route"
             onPress={() => {
               if (plan.chosen === null) station.takePlannedRoute(target.target_id, 1);
-              else station.ui({ step: "route" });
+              else station.toStep("route");
             }}
           />
         )}

@@ -13,7 +13,7 @@ import type { PlansMessage, RecentCase, ScopeVerdict, Target, TargetPlan } from 
 import { useApp, useStation } from "../context";
 import { Act } from "../controls";
 import { Icon } from "../icons";
-import { PanelAnswer, useAnswerShown } from "../PlanAnswer";
+import { PanelAnswer, useIsAnswered } from "../PlanAnswer";
 import { Pickers } from "../StartPage";
 import type { PlanSuffix } from "../workstation";
 import { CArmAngles } from "./CArmAngles";
@@ -26,7 +26,7 @@ import { RouteStations } from "./RouteStations";
 export function PlannedRoutes({ target, plan }: { target: Target; plan: TargetPlan }) {
   const plans = useApp((state) => state.plans);
   const chosen = plan.chosen === null ? null : (plan.routes[plan.chosen - 1] ?? null);
-  const answered = useAnswerShown();
+  const answered = useIsAnswered(plan);
   return (
     <div className="planned" data-testid="planned">
       <p>
