@@ -1061,7 +1061,7 @@ export interface PlanOptions {
 
 /** The origin of the distances along a route. */
 export interface RouteOrigin {
-  readonly kind: "axes" | "ridge" | "root";
+  readonly kind: "axes" | "ridge" | "root" | "route";
   readonly along_mm: number;
 }
 
