@@ -77,10 +77,9 @@ class AirwayCaster:
         if view.method != "leap" or not isinstance(maps, ValueMaps):
             return None
 
-        # Depth of field is added to the whole picture after the cast, so it does not affect the choice.
-        sharp = dataclasses.replace(view, depth_of_field=None)
-
         def cost_of(rows: tuple[int, int], leaps: bool) -> float:
+            # Depth of field is added to the whole picture after the cast, so it does not affect the choice.
+            sharp = dataclasses.replace(view, depth_of_field=None)
             return processor_time_of(lambda: self._cast(scene, sharp, rows=rows, leaps=leaps))
 
         return self._choice.leaps((maps, scene.transfer), view, cost_of, diagonal_mm=self._diagonal_mm)
