@@ -3,12 +3,22 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 
 import numpy as np
 import pytest
 
 from carina.render import AirwayView, Renderer, TransferFunction
-from carina.render.leap_choice import MAX_VIEWS, MIN_GAIN, PICTURES_BETWEEN, ROUNDS, STRIPS, LeapChoice, is_faster
+from carina.render.leap_choice import (
+    MAX_VIEWS,
+    MIN_GAIN,
+    MORE_ROUNDS,
+    PICTURES_BETWEEN,
+    ROUNDS,
+    STRIPS,
+    LeapChoice,
+    is_faster,
+)
 from carina.render.scene import ValueMaps
 from carina.scopes import DepthOfField, Pose
 from carina.volume import Volume
@@ -59,6 +69,16 @@ def test_costs_are_summed_over_strips_of_the_whole_picture():
 def test_interrupted_measurement_of_a_strip_does_not_change_the_choice():
     spikes = iter([100.0] + [1.0] * 99)
     assert is_faster(64, Costs(lambda _rows: next(spikes), lambda _rows: 2.0))
+
+
+def test_close_costs_are_measured_in_further_rounds():
+    disturbed = itertools.chain([1.2] * (ROUNDS * STRIPS), itertools.repeat(1.0))
+    costs = Costs(lambda _rows: next(disturbed), lambda _rows: 1.15)
+    assert is_faster(64, costs)
+    assert costs.calls == 2 * (ROUNDS + MORE_ROUNDS) * STRIPS
+    clear = constant(1.0, 1.3)
+    assert is_faster(64, clear)
+    assert clear.calls == 2 * ROUNDS * STRIPS
 
 
 def test_one_view_is_measured_once_and_its_choice_stays(scene):
