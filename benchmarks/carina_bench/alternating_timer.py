@@ -5,11 +5,11 @@ from __future__ import annotations
 import gc
 import statistics
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-__all__ = ["Times", "median_ratio", "take_turns"]
+__all__ = ["Times", "median_ratio", "order_of_round", "take_turns"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,8 +47,8 @@ def take_turns(
 ) -> dict[str, Times]:
     """Run each function once in each round and return its times; a first round is not counted.
 
-    Each round starts with another function, so that no function always follows the same one. Functions that run for
-    many seconds need no first round: ``warms_up`` is False.
+    The order differs between the rounds (`order_of_round`), so that no function always follows the same one and finds
+    the caches that it left. Functions that run for many seconds need no first round: ``warms_up`` is False.
     """
     names = list(functions)
     cpu: dict[str, list[float]] = {name: [] for name in names}
@@ -59,8 +59,7 @@ def take_turns(
     gc.disable()
     try:
         for turn in range(repeats):
-            shift = turn % len(names)
-            for name in names[shift:] + names[:shift]:
+            for name in order_of_round(names, turn):
                 started_wall, started = time.perf_counter_ns(), time.process_time_ns()
                 functions[name]()
                 cpu[name].append((time.process_time_ns() - started) / 1e6)
@@ -70,6 +69,17 @@ def take_turns(
         if collecting:
             gc.enable()
     return {name: Times(tuple(cpu[name]), tuple(wall[name])) for name in names}
+
+
+def order_of_round(names: Sequence[str], turn: int) -> list[str]:
+    """Return the names in the order of a round, by a Williams design: each name follows each other one equally often.
+
+    The rounds are balanced after as many rounds as there are names, or after twice as many if their number is odd.
+    """
+    count = len(names)
+    zigzag = [(n + 1) // 2 if n % 2 else (count - n // 2) % count for n in range(count)]
+    order = [names[(n + turn) % count] for n in zigzag]
+    return order[::-1] if count % 2 and turn % 2 else order
 
 
 def median_ratio(slow: Times, fast: Times) -> float:

@@ -1,6 +1,7 @@
 """The paper's IsoRegion graph beside the voxel graph in whole 8-bit volumes: nodes, edges, time, memory, path lengths.
 
 Both graphs are built and searched in alternation. One root in the middle of the volume and four targets are searched.
+The memory of each graph is measured in a new process, because the memory of earlier searches is used again.
 """
 
 from __future__ import annotations
@@ -20,8 +21,9 @@ from carina.track.targets.results import GraphSearch
 from carina.volume import Volume
 from carina_bench.alternating_timer import Times, median_ratio, take_turns
 from carina_bench.machine import load_average
+from carina_bench.worker import run_section
 
-__all__ = ["run"]
+__all__ = ["peak_memory", "run"]
 
 Row = dict[str, Any]
 
@@ -81,21 +83,33 @@ def _reset_peak() -> None:
         Path("/proc/self/clear_refs").write_text("5", encoding="utf-8")
 
 
+def peak_memory(request: Row) -> list[float]:
+    """Return the peak memory in MB of one search beside the volume; empty where the system does not state it.
+
+    The request contains the name of the volume, the cost and the graph.
+    """
+    volume = _volume(request["case"])
+    assert volume is not None
+    int(volume.hu_zyx.sum(dtype=np.int64))
+    _reset_peak()
+    before = _memory_mb("VmRSS")
+    _search(volume, request["cost"], request["graph"])
+    peak = _memory_mb("VmHWM")
+    return [] if before is None or peak is None else [peak - before]
+
+
 def _rows(name: str, volume: Volume, cost: str, rounds: int, say: Callable[[str], None]) -> list[Row]:
     """Return the rows of one volume and cost, and print them."""
     found: dict[str, GraphSearch] = {}
-    peaks: dict[str, list[float]] = {graph: [] for graph in GRAPHS}
+    peaks = {
+        graph: run_section("track_graphs:peak_memory", {"case": name, "cost": cost, "graph": graph}) for graph in GRAPHS
+    }
 
     def searching(graph: str) -> Callable[[], None]:
-        def measured() -> None:
-            _reset_peak()
-            before = _memory_mb("VmRSS")
+        def search() -> None:
             found[graph] = _search(volume, cost, graph)
-            peak = _memory_mb("VmHWM")
-            if before is not None and peak is not None:
-                peaks[graph].append(peak - before)
 
-        return measured
+        return search
 
     times = take_turns({graph: searching(graph) for graph in GRAPHS}, rounds, warms_up=False)
     rows = [_row(cost, graph, found[graph], times[graph], peaks[graph]) | {"case": name} for graph in GRAPHS]
@@ -127,9 +141,9 @@ def _lengths(search: GraphSearch) -> list[float]:
 
 
 def _row(cost: str, graph: str, search: GraphSearch, times: Times, peaks: list[float]) -> Row:
-    """Return the row of one graph; its memory is the largest of all rounds."""
+    """Return the row of one graph; ``peaks`` contains its peak memory in MB, if the system states it."""
     seconds = [round(ms / 1e3, 2) for ms in times.cpu_ms]
-    memory = f"at most {max(peaks):.0f} MB beside the volume" if peaks else "memory not measured on this system"
+    memory = f"{max(peaks):.0f} MB beside the volume" if peaks else "memory not measured on this system"
     return {
         "what": f"cost {cost}, graph {graph}",
         "figure": search.num_nodes,

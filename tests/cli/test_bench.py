@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import importlib.util
+import itertools
 import json
 import os
 import subprocess
 import sys
+from collections import Counter
 
 import numpy as np
 import pytest
@@ -14,7 +16,7 @@ import pytest
 import carina.cli.bench as verb
 from carina.errors import CarinaError
 from carina_bench import machine
-from carina_bench.alternating_timer import Times, median_ratio, take_turns
+from carina_bench.alternating_timer import Times, median_ratio, order_of_round, take_turns
 from carina_bench.command import SECTIONS
 from carina_bench.gates import Gate
 from carina_bench.pictures import difference, save
@@ -62,8 +64,17 @@ def test_compared_functions_are_timed_alternately_and_the_first_round_is_not_cou
     calls = []
     times = take_turns({name: lambda n=name: calls.append(n) for name in "abc"}, 3)
     assert calls[:3] == ["a", "b", "c"]
-    assert calls[3:] == ["a", "b", "c", "b", "c", "a", "c", "a", "b"]
+    assert calls[3:] == ["a", "b", "c", "a", "c", "b", "c", "a", "b"]
     assert all(len(t.cpu_ms) == 3 for t in times.values())
+
+
+@pytest.mark.parametrize("names", ["ab", "abc", "abcd", "abcde"])
+def test_each_compared_function_follows_each_other_one_equally_often(names):
+    rounds = [order_of_round(names, turn) for turn in range(2 * len(names))]
+    assert all(sorted(order) == sorted(names) for order in rounds)
+    pairs = Counter(pair for order in rounds for pair in itertools.pairwise(order))
+    assert len(pairs) == len(names) * (len(names) - 1) and set(pairs.values()) == {2}
+    assert set(Counter(order[0] for order in rounds).values()) == {2}
 
 
 def test_speed_ratio_is_the_median_of_ratios_within_a_round():

@@ -14,6 +14,7 @@ from carina.errors import CancelledError, NoResultError
 from carina.plan import TurnPicture
 from carina.plan.turns.contact_sheet import GAP_PX, contact_sheet
 from carina.server.files.fork_sheets import fork_sheet_answer
+from carina.session.flights.film_flights import flight_captions
 from carina.session.flights.fork_sheet import fork_sheet_png
 
 
@@ -58,7 +59,11 @@ def test_path_by_walls_has_no_contact_sheet_and_no_turns_in_its_captions(
     assert document.cost_of(dataclasses.replace(document.route, target_id=None)) == "lumen"
     with pytest.raises(NoResultError, match="not searched in the airways"):
         asyncio.run(fork_sheet_answer(window_case.session))
-    assert window_case.session.ask(c.FlightToFilm("route")).caption_route is None
+    film = window_case.session.ask(c.FlightToFilm("route", rate_hz=1.0, speed_mm_s=200.0))
+    assert film.caption_route.cost == "walls"
+    captions = flight_captions(film.volume, film.airways, film.caption_route, None)
+    frames = film.frames(lambda *_: None, lambda _note: None)
+    assert all(len(captions.lines(frame, 0.0)) == 1 for frame in frames)
     given = ("--to", document.targets[0].name, "--ct", window_case.path.parent / "ct.nii.gz")
     refused = carina("render", path, "--view", "forks", *given, "-o", tmp_path / "forks.png")
     assert refused.code == 4

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 
@@ -9,6 +11,9 @@ import carina
 from carina import commands as c
 from carina.commands.tree import PathCost
 from carina.errors import NoResultError, UsageError
+from carina.navigate.recording import ReplayedPose
+from carina.server.to_wire.session import route_message, state_message
+from carina.session.flights.film_flights import flight_captions
 from carina.track.targets.paper_tracker import COSTS
 from carina.volume import write_grid
 from vessel_phantom import bent_vessel
@@ -106,3 +111,70 @@ def test_path_that_ignores_the_airways_states_its_length_outside_them_and_stays_
         saved = case.save(tmp_path / "crossing.carina")
     with carina.Case.open(saved) as again:
         assert targets_of(again)[0].crossings_mm == pytest.approx(after.crossings_mm)
+
+
+def places_of(case):
+    """Return the position of each route point from the origin of the window's ruler, mm, and the kind of the origin."""
+    scale = case.state.route_scale
+    return scale.along_mm - scale.origin.along_mm, scale.origin.kind
+
+
+def test_distances_on_a_path_outside_the_airways_are_measured_along_that_path(phantom, tmp_path):
+    scan = tmp_path / "phantom.nii.gz"
+    write_grid(scan, phantom.volume.hu_zyx, phantom.volume.lps_from_ijk, what="the scan")
+    with carina.Case.open(scan) as case:
+        root = np.array(case.airways.root_lps)
+        tree, tracker = case.airways.tree, case.airways.tracker
+        # Beside the middle of the trachea: the path leaves the lumen above the main carina.
+        case.do(c.AddTarget(tuple(root + np.array([40.0, 0.0, -20.0])), cost="walls"))
+        (target,) = targets_of(case)
+        case.do(c.ChooseRoute(target_id=target.target_id))
+        route = case.state.document.route
+        assert target.outside_mm > 20.0
+        places, origin = places_of(case)
+        assert origin == "route"
+        np.testing.assert_allclose(places, route.cumulative_mm)
+        assert target.target_id not in case.state.target_places_mm
+        sent = route_message(route, None, case.state.route_scale).route
+        assert sent.centreline_mm == pytest.approx(route.cumulative_mm, abs=1e-3)
+        assert sent.origin.kind == "route"
+        # Through the main carina, then out of the airways: distances count from the carina, along the path.
+        tip = next(tip for tip in tree.tips() if len(tree.lineage(tip.id)) > 2)
+        out = tip.points[-1] + 40.0 * (tip.points[-1] - tip.points[-2]) / np.linalg.norm(
+            tip.points[-1] - tip.points[-2]
+        )
+        nz, ny, nx = phantom.volume.shape_zyx
+        out = phantom.volume.to_lps(np.clip(phantom.volume.to_ijk(out), 1, (nx - 2, ny - 2, nz - 2)))
+        case.do(c.AddTarget(tuple(float(v) for v in out), cost="walls"))
+        far = targets_of(case)[-1]
+        case.do(c.ChooseRoute(target_id=far.target_id))
+        route = case.state.document.route
+        inside = tracker.inside(route.points_lps)
+        assert not inside[-1] and far.outside_mm > 5.0
+        places, origin = places_of(case)
+        assert origin == "ridge"
+        np.testing.assert_allclose(np.diff(places), np.diff(route.cumulative_mm))
+        carina_lps = tree.root.points[-1]
+        nearest = int(np.argmin(np.linalg.norm(route.points_lps - carina_lps, axis=1)))
+        ridge_mm = case.state.route_scale.origin.ridge_beyond_axes_mm
+        assert places[nearest] == pytest.approx(-ridge_mm, abs=6.0)
+        assert case.state.target_places_mm[far.target_id] == pytest.approx(places[-1])
+        assert state_message(case.state, frame_rate_hz=30.0).targets[-1].from_carina_mm == pytest.approx(
+            places[-1], abs=0.01
+        )
+
+
+def test_captions_of_a_flight_on_a_path_outside_the_airways_state_distances_along_the_path(phantom, tmp_path):
+    scan = tmp_path / "phantom.nii.gz"
+    write_grid(scan, phantom.volume.hu_zyx, phantom.volume.lps_from_ijk, what="the scan")
+    with carina.Case.open(scan) as case:
+        root = np.array(case.airways.root_lps)
+        case.do(c.AddTarget(tuple(root + np.array([40.0, 0.0, -20.0])), cost="walls"))
+        (target,) = targets_of(case)
+        case.do(c.ChooseRoute(target_id=target.target_id))
+        film = case.ask(c.FlightToFilm("route", rate_hz=1.0, speed_mm_s=50.0))
+        captions = flight_captions(film.volume, film.airways, film.caption_route, None)
+        for path_mm in (5.0, 30.0, 0.98 * target.length_mm):
+            (line,) = captions.lines(ReplayedPose(0.0, case.state.document.route.path.pose_at(path_mm), {}, False), 0.0)
+            stated = float(re.search(r"(\d+) mm from the start of the route$", line).group(1))
+            assert stated == pytest.approx(path_mm, abs=1.5)

@@ -32,6 +32,7 @@ from carina.render import LEAD_VIEW, Backend, Renderer, transfer_preset
 from carina.scopes import DEFAULT_SCOPE, scope_preset
 from carina.session import RendererFactory, is_case_file, key_file, view_words
 from carina.session.flights.film_flights import (
+    CaptionRoute,
     checked_times_s,
     flight_captions,
     frames_of_flight,
@@ -184,10 +185,12 @@ def _captions(
         airways = source.airways(progress)
     except NoResultError:
         airways = None
-    if source.document is not None and source.document.cost_of(way) != "lumen":
-        print_note("note: this path was not searched in the airways, so the captions name no turns")
-        way = None
-    return flight_captions(source.volume, airways, way, renderer if isinstance(renderer, Renderer) else None).lines
+    own = None
+    if way is not None:
+        own = CaptionRoute(way, "lumen" if source.document is None else source.document.cost_of(way))
+        if own.cost != "lumen":
+            print_note("note: this path was not searched in the airways, so the captions name no turns")
+    return flight_captions(source.volume, airways, own, renderer if isinstance(renderer, Renderer) else None).lines
 
 
 def _stored_view(source: OpenedInput, keys: KeyFrameFile | None) -> dict[str, Any]:

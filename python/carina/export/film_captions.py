@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,8 +29,11 @@ class FilmCaptions:
         The airway tree; None without airways.
     origin
         Origin of the distances; None without airways.
-    path, turns
-        Path of a flight along a route and its turns; without them the captions name no turn.
+    path, place
+        Path of a flight along a route, and the function that returns a position along it in mm as text; without them
+        the distances are those of the airway tree.
+    turns
+        Turns of the route; without them the captions name no turn.
     """
 
     def __init__(
@@ -39,10 +42,11 @@ class FilmCaptions:
         origin: DistanceOrigin | None,
         *,
         path: FlightPath | None = None,
+        place: Callable[[float], str] | None = None,
         turns: Sequence[Turn] = (),
     ) -> None:
         self._tree, self._origin = tree, origin
-        self._path = path
+        self._path, self._words = path, place
         self._turns: list[tuple[float, Turn]] = []
         if path is not None:
             self._points = np.asarray(path.points_lps, dtype=np.float64)
@@ -58,11 +62,15 @@ class FilmCaptions:
         return ("  ".join(first), *([turn] if turn else []))
 
     def _place(self, position: NDArray[np.float64]) -> list[str]:
-        """Return name and depth of the branch that contains a point; empty outside the airways."""
-        if self._tree is None or self._origin is None:
-            return []
-        found = branch_at_point(self._tree, position)
-        if found is None:
+        """Return the branch that contains a point, and the distance of the point along the route or the airways.
+
+        The distance is missing for a point outside the airways if the flight follows no route.
+        """
+        found = None if self._tree is None else branch_at_point(self._tree, position)
+        if self._path is not None and self._words is not None:
+            named = [] if found is None else [branch_label(found[0])]
+            return [*named, self._words(self._place_mm(position))]
+        if found is None or self._tree is None or self._origin is None:
             return []
         branch, index = found
         *before, _ = self._tree.lineage(branch.id)

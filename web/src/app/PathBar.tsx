@@ -7,7 +7,7 @@ import { pathMm, tipLps } from "../state/app-state";
 import { kindText } from "../state/branch-text";
 import { fixed, mm } from "../state/format";
 import { crossingsOf, crossingText, sliderLabel } from "../state/path-search";
-import { nearestMm, originText, pastMm, pathAtMm, scaleMm, sideText } from "../state/route";
+import { isFromCarina, nearestMm, originText, pastMm, pathAtMm, scaleMm, sideText } from "../state/route";
 import { AUTO_SPEEDS_MM_S } from "../state/speed";
 import type { RouteInfo } from "../wire/messages";
 import { useApp, useStation } from "./context";
@@ -153,7 +153,7 @@ function Ruler({ route }: { route: RouteInfo }) {
             className={past === 0 ? "origin" : undefined}
             style={{ left: percent(pathAtMm(route, past)) }}
           >
-            {past === 0 && route.origin.kind !== "root" ? "carina" : fixed(past)}
+            {past === 0 && isFromCarina(route) ? "carina" : fixed(past)}
           </span>
         ))}
       </div>

@@ -47,7 +47,7 @@ describe("crossingsOf", () => {
 
 describe("texts of the ruler", () => {
   const route = {
-    origin: { kind: "carina", along_mm: 100 },
+    origin: { kind: "ridge", along_mm: 100 },
     lumen_known: true,
     cumulative_mm: [0, 200],
     centreline_mm: [0, 200],

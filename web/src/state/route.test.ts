@@ -307,6 +307,9 @@ describe("distances from the origin of a route", () => {
     expect(placeText(ridge, 0)).toBe("31\u202fmm above the main carina");
     expect(placeText(ROUTE, 12.4)).toBe("12\u202fmm from the start of the airway tree");
     expect(originText({ ...ROUTE, lumen_known: false })).toBe("the start of the route");
+    const searched = { ...ROUTE, origin: { kind: "route", along_mm: 0 }, lumen_known: true } as const;
+    expect(placeText(searched, 12)).toBe("12\u202fmm from the start of the route");
+    expect(sideText(searched, 12)).toBe("from start");
     expect([sideText(ridge, 40), sideText(ridge, 0), sideText(ROUTE, 0)]).toEqual([
       "past carina",
       "above carina",

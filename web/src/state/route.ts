@@ -26,6 +26,9 @@ export function clampToRoute(route: Pick<RouteInfo, "length_mm">, pathMm: number
 /** The part of a route that defines its distances from the origin. */
 export type WithOrigin = Pick<RouteInfo, "origin" | "lumen_known" | "cumulative_mm" | "centreline_mm">;
 
+/** Return whether the distances along a route are measured from the main carina. */
+export const isFromCarina = ({ origin }: WithOrigin): boolean => origin.kind === "ridge" || origin.kind === "axes";
+
 /** Distance, mm, below which a place is described as at the origin. */
 const AT_ORIGIN_MM = 0.5;
 
@@ -40,7 +43,8 @@ function interpolated(at: number, ascending: readonly number[], values: readonly
 
 /**
  * Return the distance of a position along the route from the origin, mm, as plans state it: along the centrelines,
- * which are longer than the smoothed route; below 0 before the origin.
+ * which are longer than the smoothed route; below 0 before the origin. A path that was not searched in the airways is
+ * measured along the path itself.
  */
 export const pastMm = (route: WithOrigin, pathMm: number): number =>
   interpolated(pathMm, route.cumulative_mm, route.centreline_mm) - route.origin.along_mm;
@@ -51,14 +55,14 @@ export const pathAtMm = (route: WithOrigin, past: number): number =>
 
 /** Return the origin of the distances along a route as text, such as *the main carina*. */
 export function originText(route: WithOrigin): string {
-  if (route.origin.kind !== "root") return "the main carina";
-  return route.lumen_known ? "the start of the airway tree" : "the start of the route";
+  if (isFromCarina(route)) return "the main carina";
+  return route.origin.kind === "root" && route.lumen_known ? "the start of the airway tree" : "the start of the route";
 }
 
 /** Return a position along a route as text, with the same origin as in the plan: *42 mm past the main carina*. */
 export function placeText(route: WithOrigin, pathMm: number): string {
   const past = pastMm(route, pathMm);
-  return route.origin.kind === "root" ? `${mm(past, 0)} from ${originText(route)}` : carinaText(past);
+  return isFromCarina(route) ? carinaText(past) : `${mm(past, 0)} from ${originText(route)}`;
 }
 
 /** Return a distance from the main carina as text: *42 mm past the main carina*. */
@@ -79,7 +83,7 @@ export function endText(path: { readonly length_mm: number; readonly from_carina
 
 /** Return the word for the side of the origin on which a position is, for a short reading beside the distance. */
 export function sideText(route: WithOrigin, pathMm: number): string {
-  if (route.origin.kind === "root") return "from start";
+  if (!isFromCarina(route)) return "from start";
   return pastMm(route, pathMm) < 0 ? "above carina" : "past carina";
 }
 

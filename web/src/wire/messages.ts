@@ -1112,7 +1112,7 @@ export interface PlanOptions {
 
 /** The origin of the distances along a route. */
 export interface RouteOrigin {
-  readonly kind: "axes" | "ridge" | "root";
+  readonly kind: "axes" | "ridge" | "root" | "route";
   readonly along_mm: number;
 }
 

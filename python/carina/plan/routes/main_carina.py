@@ -14,7 +14,7 @@ from carina.track import Airways, AirwayTree, Branch
 from carina.track.measures.forks import find_forks
 from carina.volume import Volume
 
-OriginKind = Literal["ridge", "axes", "root"]
+OriginKind = Literal["ridge", "axes", "root", "route"]
 
 SAME_PLACE_MM = 1e-6
 AT_ORIGIN_MM = 0.5
@@ -43,12 +43,16 @@ class DistanceOrigin:
 
     ``ridge``: the ridge of the main carina, which the scope shows. ``axes``: the point where the axes of the main
     bronchi meet, about a tracheal radius above the ridge, if no ridge of wall was found. ``root``: the start of the
-    airway tree, if the route passes no main carina.
+    airway tree, if the route passes no main carina. ``route``: the start of the route, if its path was not searched in
+    the airways and passes no main carina.
     """
     along_mm: float = 0.0
-    """Distance of the origin from the root of the tree along the centrelines, mm."""
+    """Distance of the origin from the root of the tree along the centrelines, mm.
+
+    For a path that was not searched in the airways: from the start of the path, along the path.
+    """
     axes_mm: float | None = None
-    """Distance in mm from the root to the point where the axes of the main bronchi meet.
+    """Distance in mm from the root to the point where the axes of the main bronchi meet, measured like ``along_mm``.
 
     None if the route passes no main carina.
     """
@@ -57,7 +61,7 @@ class DistanceOrigin:
         """Raise an error if a field of this `DistanceOrigin` has an invalid value."""
         check_fields(
             self,
-            kind=choice("ridge", "axes", "root"),
+            kind=choice("ridge", "axes", "root", "route"),
             along_mm=number_from(0.0, 10_000.0, unit="mm"),
             axes_mm=number_from(0.0, 10_000.0, optional=True, unit="mm"),
         )
@@ -65,7 +69,7 @@ class DistanceOrigin:
     @property
     def is_carina(self) -> bool:
         """Whether distances are measured from the main carina, at its ridge or at the axes of the main bronchi."""
-        return self.kind != "root"
+        return self.kind in {"ridge", "axes"}
 
     @property
     def note(self) -> str | None:
@@ -123,7 +127,10 @@ class DistanceOrigin:
 
     def words(self, past_mm: float) -> str:
         """Return a distance from the origin as text, such as *42 mm past the main carina*."""
-        return carina_words(past_mm) if self.is_carina else f"{past_mm:.0f} mm from the start of the airway tree"
+        if self.is_carina:
+            return carina_words(past_mm)
+        start = "route" if self.kind == "route" else "airway tree"
+        return f"{past_mm:.0f} mm from the start of the {start}"
 
     def to_json(self) -> dict[str, Any]:
         """Return the origin as plain JSON types."""
@@ -137,7 +144,11 @@ class RouteScale:
 
     origin: DistanceOrigin
     along_mm: NDArray[np.float64]
-    """Distance in mm of each point of the route from the root of the tree along the centrelines, ``(n,)``."""
+    """Distance in mm of each point of the route, ``(n,)``.
+
+    Measured from the root of the tree along the centrelines or, for a path that was not searched in the airways, along
+    the path from its start.
+    """
 
 
 ROOT = DistanceOrigin()
@@ -182,7 +193,7 @@ def distance_origin(volume: Volume, airways: Airways) -> DistanceOrigin:
     'ridge'
     """
     axes = axes_origin(airways.tree)
-    mother = _mother_of_main_bronchi(airways.tree)
+    mother = mother_of_main_bronchi(airways.tree)
     beyond_mm = None if mother is None else _ridge_beyond_axes_mm(volume, airways, mother)
     return axes if beyond_mm is None else replace(axes, kind="ridge", along_mm=axes.along_mm + beyond_mm)
 
@@ -192,7 +203,7 @@ def axes_origin(tree: AirwayTree) -> DistanceOrigin:
 
     The origin is the root if the tree has no main bronchus.
     """
-    mother = _mother_of_main_bronchi(tree)
+    mother = mother_of_main_bronchi(tree)
     if mother is None:
         return ROOT
     axes_mm = sum(branch.length_mm for branch in tree.lineage(mother.id))
@@ -212,7 +223,7 @@ def origins_of_branches(tree: AirwayTree, origin: DistanceOrigin) -> dict[int, D
     origin
         Origin of the tree (`distance_origin`).
     """
-    mother = _mother_of_main_bronchi(tree) if origin.is_carina else None
+    mother = mother_of_main_bronchi(tree) if origin.is_carina else None
     if mother is None:
         return {branch.id: origin for branch in tree.branches}
     passing = {mother.id}
@@ -224,7 +235,7 @@ def origins_of_branches(tree: AirwayTree, origin: DistanceOrigin) -> dict[int, D
     return {branch.id: origin if branch.id in passing else ROOT for branch in tree.branches}
 
 
-def _mother_of_main_bronchi(tree: AirwayTree) -> Branch | None:
+def mother_of_main_bronchi(tree: AirwayTree) -> Branch | None:
     """Return the branch that ends in the main carina: the last common branch of the routes to both main bronchi.
 
     If only one main bronchus is known, the result is the branch before it. The result is None without a main bronchus,

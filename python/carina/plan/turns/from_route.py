@@ -219,7 +219,7 @@ def _turns(tree: AirwayTree, way: _Way, carina_depth_mm: float | None, renderer:
             )
         )
     last_mm = places_mm[-1] if places_mm else origin.past_mm(0.0)
-    zero: Zero | None = None if origin.kind == "root" else origin.kind
+    zero: Zero | None = origin.kind if origin.kind in {"ridge", "axes"} else None
     return TurnList(
         turns=tuple(turns),
         park_from_carina_mm=way.origin.from_carina_mm(way.end_mm),

@@ -9,6 +9,7 @@ from typing import Any
 
 import msgspec
 import numpy as np
+from numpy.typing import NDArray
 
 from carina.case.document import Document
 from carina.commands import Look
@@ -210,7 +211,7 @@ def _threshold(document: Document | None) -> float | None:
 
 
 def route_message(
-    route: ChosenRoute | None, measures: Any = None, scale: RouteScale | None = None
+    route: ChosenRoute | None, measures: Any = None, scale: RouteScale | None = None, *, follows_airways: bool = True
 ) -> wire.RouteMessage:
     """Return the route message; the lists per route point have equal lengths.
 
@@ -222,6 +223,8 @@ def route_message(
         Measures of the airways of the route; None until the airways are measured.
     scale
         Distances along the route; by default they count from its start.
+    follows_airways
+        Whether the path of the route was searched in the airways; otherwise their diameters are not those of the path.
     """
     if route is None:
         return wire.RouteMessage(None)
@@ -246,13 +249,16 @@ def route_message(
         needle=route.needle,
         origin=wire.RouteOrigin(scale.origin.kind, round(scale.origin.along_mm, 3)),
         centreline_mm=_floats(np.round(scale.along_mm, 3)),
-        **_narrowest(route, measures),
+        **_narrowest(route, measures if follows_airways else None, scale.along_mm),
     )
     return wire.RouteMessage(info)
 
 
-def _narrowest(route: ChosenRoute, measures: Any) -> dict[str, float]:
-    """Return the fields of the narrowest diameter of a route; no fields without measures by the current method."""
+def _narrowest(route: ChosenRoute, measures: Any, along_mm: NDArray[np.float64]) -> dict[str, float]:
+    """Return the fields of the narrowest diameter of a route; no fields without measures by the current method.
+
+    Measures give positions along the centrelines, as does ``along_mm`` (n,) for each point of the route.
+    """
     if measures is None or not route.lumen_known or any(one.is_by_earlier_method for one in measures.branches):
         return {}
     if not {span.branch_id for span in route.spans} <= {one.branch_id for one in measures.branches}:
@@ -262,11 +268,13 @@ def _narrowest(route: ChosenRoute, measures: Any) -> dict[str, float]:
     for n, span in enumerate(route.spans):
         # A branch starts at the fork; its span starts at the next point.
         starts.setdefault(span.branch_id, route.forks_mm[n - 1] if n and has_forks else span.from_mm)
+    starts = {branch_id: float(np.interp(mm, route.cumulative_mm, along_mm)) for branch_id, mm in starts.items()}
     last = route.spans[-1]
-    found = measures.narrowest_of_route(starts, last.to_mm - starts[last.branch_id])
+    end_mm = float(np.interp(last.to_mm, route.cumulative_mm, along_mm))
+    found = measures.narrowest_of_route(starts, end_mm - starts[last.branch_id])
     if found is None:
         return {}
-    at_mm = starts[found.branch_id] + found.at_mm
+    at_mm = float(np.interp(starts[found.branch_id] + found.at_mm, along_mm, route.cumulative_mm))
     figures = {"narrowest_mm": found.mm, "narrowest_error_mm": found.error_mm, "narrowest_at_mm": at_mm}
     return {name: round(mm, 3) for name, mm in figures.items()}
 

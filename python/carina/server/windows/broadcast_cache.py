@@ -101,7 +101,12 @@ class SharedTexts:
             return None
         route = None if document is None else document.route
         scale = snapshot.route_scale
-        return self._cached_text("route", lambda: route_message(route, newest[1], scale), route, newest[1], scale)
+        inside = document is None or document.cost_of(route) == "lumen"
+
+        def make() -> wire.RouteMessage:
+            return route_message(route, newest[1], scale, follows_airways=inside)
+
+        return self._cached_text("route", make, route, newest[1], scale)
 
     def key_frames(self) -> str:
         """Return the encoded message of the key frames and their flight."""

@@ -209,9 +209,10 @@ class TargetInfo(AskedPath, frozen=True):
     has_size: bool = False
     """Whether the target is a lesion with a boundary; the message ``plans`` contains the boundary and the routes."""
     from_carina_mm: float | None = None
-    """Distance in mm of the end of the path from the main carina along the centrelines, as in plans and the path bar.
+    """Distance in mm of the end of the path from the main carina, as in plans and the path bar.
 
-    Null if the path does not pass the main carina, or does not follow the airways.
+    Null if the path does not pass the main carina. A path by the cost ``lumen`` is measured along the centrelines, any
+    other path along itself.
     """
 
 
@@ -308,7 +309,7 @@ class RouteInfo(DrawnPart, frozen=True, kw_only=True):
     """Distance in mm of each point from the start of the airway tree, along the centrelines.
 
     ``origin.along_mm`` and the distances of plans are measured in the same way. The route itself is smoothed and
-    therefore shorter.
+    therefore shorter. For a path that was not searched in the airways, the distances equal ``cumulative_mm``.
     """
 
 

@@ -78,10 +78,14 @@ class TargetMark(MarkQuestion, ServerMessage, frozen=True, tag="target_mark"):
 class RouteOrigin(FrozenValue, frozen=True):
     """The origin of the distances along a route."""
 
-    kind: Literal["ridge", "axes", "root"]
-    """Ridge of the main carina; point where the axes of the main bronchi meet; start of the airway tree."""
+    kind: Literal["ridge", "axes", "root", "route"]
+    """Ridge of the main carina; point where the axes of the main bronchi meet; start of the airway tree; of the route.
+    """
     along_mm: float
-    """Distance of the origin from the start of the airway tree, mm."""
+    """Distance in mm of the origin from the start of the airway tree, along the centrelines.
+
+    For a path that was not searched in the airways: from the start of the path, along the path.
+    """
 
 
 class FailurePredictors(FrozenValue, frozen=True):

@@ -11,8 +11,10 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from carina.case.document import Document, Lesion, Target
-from carina.case.routes import ChosenRoute, centreline_mm, place_on_tree_mm
+from carina.case.route_distances import scale_of_route
+from carina.case.routes import ChosenRoute, place_on_tree_mm
 from carina.commands.plan import PlanOptions
+from carina.commands.tree import PathCost
 from carina.display import one_line
 from carina.errors import CancelledError, CarinaError, NoResultError, UnconfirmedTargetError, without_options
 from carina.plan.routes.main_carina import ROOT, DistanceOrigin, RouteScale, origins_of_branches
@@ -287,7 +289,10 @@ class CasePlanning:
         self._shadows: Cached[Airways, ShadowParts | None] = Cached(self._find_shadows)
         self._num_marks = 0
         self._wall: Cached[Airways, WallField] = Cached(partial(parts.wall_field, volume), same=_same_lumen)
-        self._scales: Cached[tuple[Airways, ChosenRoute], RouteScale] = Cached(self._make_scale, same=_same_objects)
+        self._scales: Cached[tuple[Airways | None, ChosenRoute, PathCost], RouteScale] = Cached(
+            self._make_scale, same=_same_scale
+        )
+        self._tree_origin: Cached[Airways, DistanceOrigin] = Cached(self._make_tree_origin)
         self._origins: Cached[Airways, dict[int, DistanceOrigin]] = Cached(self._make_origins)
         self._target_places: Cached[tuple[Airways, tuple[Target, ...]], dict[str, float]] = Cached(
             self._make_target_places, same=_same_objects
@@ -384,23 +389,24 @@ class CasePlanning:
         airways, route = document.airways, document.route
         if route is None:
             return None
-        if airways is None or not route.lumen_known:
-            return RouteScale(ROOT, route.cumulative_mm)
-        return self._scales.of((airways, route))
+        return self._scales.of((airways, route, document.cost_of(route)))
 
-    def _make_scale(self, inputs: tuple[Airways, ChosenRoute]) -> RouteScale:
-        airways, route = inputs
-        origins = self._origins.of(airways)
-        return RouteScale(origins.get(route.spans[-1].branch_id, ROOT), centreline_mm(airways.tree, route))
+    def _make_scale(self, inputs: tuple[Airways | None, ChosenRoute, PathCost]) -> RouteScale:
+        airways, route, cost = inputs
+        origin = ROOT if airways is None or not route.lumen_known else self._tree_origin.of(airways)
+        return scale_of_route(airways, route, cost=cost, origin=origin)
+
+    def _make_tree_origin(self, airways: Airways) -> DistanceOrigin:
+        return self._parts.distance_origin(self._volume, airways)
 
     def _make_origins(self, airways: Airways) -> dict[int, DistanceOrigin]:
-        return origins_of_branches(airways.tree, self._parts.distance_origin(self._volume, airways))
+        return origins_of_branches(airways.tree, self._tree_origin.of(airways))
 
     def target_places_mm(self, document: Document) -> dict[str, float]:
-        """Return the distance in mm of each target in the airways from the main carina, by target ID.
+        """Return the distance in mm of each target from the main carina, by target ID.
 
         The distance is that of the end of the target's route (`route_scale`). Targets whose path does not pass the main
-        carina, or was searched without the lumen, are left out.
+        carina are left out.
         """
         airways = document.airways
         return {} if airways is None else self._target_places.of((airways, document.targets))
@@ -410,8 +416,8 @@ class CasePlanning:
         found = {}
         for target in targets:
             route = target.route
-            if target.cost == "lumen" and route is not None and route.lumen_known:
-                scale = self._make_scale((airways, route))
+            if route is not None and route.lumen_known:
+                scale = self._make_scale((airways, route, target.cost))
                 past_mm = scale.origin.from_carina_mm(float(scale.along_mm[-1]))
                 if past_mm is not None:
                     found[target.target_id] = past_mm
@@ -748,6 +754,10 @@ def _same_lumen(a: Airways, b: Airways) -> bool:
 
 def _same_objects(a: tuple[Any, ...], b: tuple[Any, ...]) -> bool:
     return all(x is y for x, y in zip(a, b, strict=True))
+
+
+def _same_scale(a: tuple[Any, ...], b: tuple[Any, ...]) -> bool:
+    return a[0] is b[0] and a[1] is b[1] and a[2] == b[2]
 
 
 def _same_inputs(a: PlanInputs, b: PlanInputs) -> bool:

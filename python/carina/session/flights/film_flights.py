@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from carina import commands as c
 from carina import plan, track
+from carina.case.route_distances import scale_of_route
 from carina.case.routes import ChosenRoute
 from carina.display import one_line
 from carina.errors import NoResultError, TrackingError, UsageError, VolumeImportError
@@ -24,6 +25,7 @@ from carina.export.flight_film import check_num_frames
 from carina.navigate import AutoFlight, KeyFrameFlight, Recording
 from carina.navigate.auto_flight import frame_times_s, num_frames
 from carina.navigate.recording import ReplayedPose, read_recording, sampled
+from carina.plan.routes.main_carina import ROOT
 from carina.plan.turns.from_route import branch_turns
 from carina.render import Renderer, transfer_preset
 from carina.scopes import WallField
@@ -46,13 +48,23 @@ POSES_PER_REPORT = 100
 
 @one_line
 @dataclass(frozen=True, slots=True, eq=False)
+class CaptionRoute:
+    """Route of a flight, whose captions state distances along it, and its turns if it was searched in the airways."""
+
+    route: ChosenRoute
+    cost: c.PathCost = "lumen"
+    """Cost by which the path of the route was searched; only routes of the cost ``lumen`` have turns."""
+
+
+@one_line
+@dataclass(frozen=True, slots=True, eq=False)
 class FilmFlight:
     """A flight of a case for a video, independent of later changes of the case."""
 
     volume: Volume
     airways: Airways | None
-    caption_route: ChosenRoute | None
-    """Route whose turns the captions name; None without turns, as for a path that was not searched in the airways."""
+    caption_route: CaptionRoute | None
+    """Route of the flight for the captions; None for key frames and recordings."""
     make_renderer: Callable[[], Any]
     """Function that creates a renderer of the volume on this machine, independent of those of the windows."""
     frames: Callable[[Progress, Note], list[ReplayedPose]]
@@ -102,12 +114,13 @@ class FilmHandlers(CommandHandlers):
             raise NoResultError("there is no route yet: choose a branch or mark a target", code="session.route")
         else:
             flight = AutoFlight(document.route.path, speed_mm_s=question.speed_mm_s, pause_s=question.pause_s)
-        # The turns come from the airway tree, so they do not describe a path that was searched with another cost.
-        turns = question.flight == "route" and document.cost_of(document.route) == "lumen"
+        own = None
+        if question.flight == "route" and document.route is not None:
+            own = CaptionRoute(document.route, document.cost_of(document.route))
         return FilmFlight(
             volume,
             airways,
-            document.route if turns else None,
+            own,
             make_renderer,
             lambda progress, _note: frames_of_flight(flight, view, question.rate_hz, progress=progress),
         )
@@ -173,7 +186,7 @@ def frames_of_flight(
 
 
 def flight_captions(
-    volume: Volume, airways: Airways | None, route: ChosenRoute | None, renderer: Renderer | None
+    volume: Volume, airways: Airways | None, own: CaptionRoute | None, renderer: Renderer | None
 ) -> FilmCaptions:
     """Return the captions of a flight.
 
@@ -181,21 +194,30 @@ def flight_captions(
     ----------
     volume, airways
         The CT and its airways; None without airways.
-    route
-        Route of the flight, whose turns are named; None for key frames and recordings.
+    own
+        Route of the flight; None for key frames and recordings.
     renderer
         Renderer of the volume with the lumen of its airways, in whose pictures the clock hours are measured; its
         transfer function is changed. None measures them on the tubes of the tree.
     """
-    if airways is None:
-        return FilmCaptions(None, None)
-    origin = plan.distance_origin(volume, airways)
-    if route is None or not route.spans:
-        return FilmCaptions(airways.tree, origin)
+    origin = None if airways is None else plan.distance_origin(volume, airways)
+    tree = None if airways is None else airways.tree
+    if own is None or not own.route.spans:
+        return FilmCaptions(tree, origin)
+    route = own.route
+    scale = scale_of_route(airways, route, cost=own.cost, origin=origin or ROOT)
+
+    def place(path_mm: float) -> str:
+        past_mm = scale.origin.past_mm(float(np.interp(path_mm, route.cumulative_mm, scale.along_mm)))
+        return scale.origin.words(past_mm)
+
+    # The turns come from the airway tree, so they do not describe a path that was searched with another cost.
+    if airways is None or origin is None or own.cost != "lumen":
+        return FilmCaptions(tree, origin, path=route.path, place=place)
     if renderer is not None:
         renderer.set_transfer(transfer_preset("endoscopic"))
     turns = branch_turns(airways.tree, route.spans[-1].branch_id, origin, renderer=renderer)
-    return FilmCaptions(airways.tree, origin, path=route.path, turns=turns.turns)
+    return FilmCaptions(tree, origin, path=route.path, place=place, turns=turns.turns)
 
 
 def replay_recording(

@@ -17,6 +17,7 @@ export function RouteStep() {
   const station = useStation();
   const route = useApp((state) => state.route);
   const targets = useApp((state) => state.session?.targets ?? null);
+  const isSearched = (targets?.find((target) => target.target_id === route?.target_id)?.cost ?? "lumen") !== "lumen";
   const doubts = route === null ? null : routeDoubts(route);
   const known = route?.lumen_known ?? false;
   const plan = useApp((state) => planOf(state.plans, state.route?.target_id ?? null));
@@ -69,7 +70,9 @@ export function RouteStep() {
                 <dt>Narrowest</dt>
                 <dd className="numbers">
                   {route.narrowest_mm === null || route.narrowest_at_mm === null
-                    ? "not measured yet"
+                    ? isSearched
+                      ? "not known: the path was not searched in the airways"
+                      : "not measured yet"
                     : `${withError(route.narrowest_mm, route.narrowest_error_mm) ?? ""}, ${placeText(route, route.narrowest_at_mm)}`}
                 </dd>
               </div>
