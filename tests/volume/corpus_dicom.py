@@ -113,7 +113,7 @@ RESCALE = [
     Input("no slope in any slice, an intercept in all", "DICOM: rescale", _all(RescaleSlope=None), "opens", ("import.rescale-absent",), voxels=chest, do=TISSUE),
     Input("a rescale type that is not HU", "DICOM: rescale", _all(RescaleType="US"), "opens", is_hu=False, voxels=chest, do=OTHER),
     Input("a different slope and intercept in every slice", "DICOM: rescale", _own_rescale, **WHOLE),
-    Input("an enhanced image: several frames in one file", "DICOM: rescale", _all(NumberOfFrames=7), "import.multi-frame", do="Export the series with one file for each slice (classic CT images)."),
+    Input("several frames in one file, without functional groups", "DICOM: rescale", _all(NumberOfFrames=7), "import.multi-frame", do="Export the series with one file for each slice (classic CT images)."),
 ]  # fmt: skip
 
 

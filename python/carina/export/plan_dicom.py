@@ -12,7 +12,7 @@ from __future__ import annotations
 import datetime
 import io
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, Literal
@@ -76,6 +76,19 @@ class CtImages:
     def __repr__(self) -> str:
         """Return the number of images, without their UIDs and names."""
         return f"CtImages({len(self.slices)} images)"
+
+    def reference(self, k: int) -> Dataset:
+        """Return a reference to the image of a slice; for a frame of an enhanced file with its frame number."""
+        header = self.slices[k]
+        item = Dataset()
+        item.ReferencedSOPClassUID, item.ReferencedSOPInstanceUID = self.image_class, header.sop_uid
+        if header.num_frames > 1 and header.frame is not None:
+            item.ReferencedFrameNumber = header.frame + 1
+        return item
+
+    def instance_uids(self, used: Iterable[int]) -> list[str]:
+        """Return the UIDs of the files of some slices, each once."""
+        return list(dict.fromkeys(self.slices[k].sop_uid for k in used))
 
     @property
     def image_class(self) -> str:

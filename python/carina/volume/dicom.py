@@ -21,6 +21,7 @@ from carina.volume.dicom_checks import (
 from carina.volume.dicom_files import FolderContent, LostFiles, UnusedFile, name_files
 from carina.volume.dicom_geometry import grid_from_slices
 from carina.volume.dicom_headers import SETTINGS, SliceHeader, acquisition_date
+from carina.volume.dicom_pixel_bytes import release_pixel_data
 from carina.volume.dicom_pixels import Doubt, decode_slice, is_compressed
 from carina.volume.dicom_series import Group, count_patients, group_slices, without_copies
 from carina.volume.hu import HU_TYPES, MAX_DOUBTFUL_SHARE, HuVerdict, clipped_note, judge_dicom
@@ -86,7 +87,7 @@ def _grid(group: Group, what: str) -> tuple[list[SliceHeader], NDArray[np.float6
         first = bad[0]
         count = f" ({len(bad)} of {len(slices)} images are affected)" if len(bad) > 1 else ""
         msg = (
-            f"{what}: {first.path.name} cannot be used: {first.problem}{count}; export the series again, or choose "
+            f"{what}: {first.file_name} cannot be used: {first.problem}{count}; export the series again, or choose "
             "another one"
         )
         raise VolumeImportError(msg, code=first.problem_code)
@@ -196,7 +197,7 @@ def _notes_of_files(
         names = name_files([(file.path, file.reason) for file in missing])
         words = f"{len(missing)} {verb} of this series but could not be used: {names}; the scan may be incomplete"
         notes.append(Note("import.files-unread", words, badge=True))
-    mine = [copy for h in slices for copy in copies.get((h.sop_uid, h.series_uid, h.position_lps), ())]
+    mine = [copy for h in slices for copy in copies.get(h.image_key, ())]
     if mine:
         names = name_files([(copy.path, "") for copy in mine])
         words = f"{len(mine)} slices have exact duplicates, which were ignored ({names})"
@@ -319,7 +320,10 @@ def open_series(series: FoundSeries, *, others: Sequence[SeriesInfo], notes: tup
     doubts: list[tuple[SliceHeader, Doubt]] = []
     with second_decoder() as check:
         check.submit(series.slices)
-        values = _read_slices(series, clipping, padding, doubts, watch)
+        try:
+            values = _read_slices(series, clipping, padding, doubts, watch)
+        finally:
+            release_pixel_data()
         for index, (header, problem) in enumerate(check.problems()):
             watch.step("Checking the compressed slices", index / len(check))
             if problem is not None:

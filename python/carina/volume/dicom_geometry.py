@@ -41,14 +41,14 @@ def _check_alike(slices: Sequence[SliceHeader], what: str) -> None:
         if (header.rows, header.columns) != (first.rows, first.columns):
             problem = (
                 f"its slices have mixed sizes: expected {first.columns} x {first.rows} pixels as in "
-                f"{first.path.name}, found {header.columns} x {header.rows} in {header.path.name}"
+                f"{first.file_name}, found {header.columns} x {header.rows} in {header.file_name}"
             )
             raise _refuse(what, problem, way_out, "import.geometry.mixed")
         turn = max(math.dist(header.row_lps, first.row_lps), math.dist(header.column_lps, first.column_lps))
         if turn * extent_mm > MAX_CORNER_SHIFT_MM:
             problem = (
-                f"its slices have mixed orientations: {header.path.name} is rotated by {math.degrees(turn):.2f} "
-                f"degrees relative to {first.path.name}"
+                f"its slices have mixed orientations: {header.file_name} is rotated by {math.degrees(turn):.2f} "
+                f"degrees relative to {first.file_name}"
             )
             raise _refuse(what, problem, way_out, "import.geometry.mixed")
         stretch_mm = max(
@@ -58,8 +58,8 @@ def _check_alike(slices: Sequence[SliceHeader], what: str) -> None:
         if stretch_mm > MAX_CORNER_SHIFT_MM:
             problem = (
                 f"its slices have mixed pixel spacing: expected {first.spacing_mm[0]:g} x {first.spacing_mm[1]:g} "
-                f"mm as in {first.path.name}, found {header.spacing_mm[0]:g} x {header.spacing_mm[1]:g} mm in "
-                f"{header.path.name}"
+                f"mm as in {first.file_name}, found {header.spacing_mm[0]:g} x {header.spacing_mm[1]:g} mm in "
+                f"{header.file_name}"
             )
             raise _refuse(what, problem, way_out, "import.geometry.mixed")
 
@@ -75,7 +75,7 @@ def _check_spacing(along_mm: NDArray[np.float64], ordered: Sequence[SliceHeader]
         at = int(doubled[0])
         problem = (
             f"{doubled.size + 1 if doubled.size == count - 1 else doubled.size} of its {count} slices lie at the "
-            f"position of another slice, first {ordered[at].path.name} and {ordered[at + 1].path.name}; expected one "
+            f"position of another slice, first {ordered[at].file_name} and {ordered[at + 1].file_name}; expected one "
             "slice at each position; the folder may contain the series twice, or several phases of one scan"
         )
         raise _refuse(what, problem, "keep one slice for each position", "import.geometry.duplicate")
@@ -92,7 +92,7 @@ def _check_spacing(along_mm: NDArray[np.float64], ordered: Sequence[SliceHeader]
         )
         problem = (
             f"slice spacing is irregular: expected {expected:.2f} mm, found {gaps[at]:.2f} mm after slice {at + 1} of "
-            f"{count} ({ordered[at].path.name}){more}{cause}"
+            f"{count} ({ordered[at].file_name}){more}{cause}"
         )
         raise _refuse(
             what, problem, ("copy the whole series again, or choose another series"), "import.geometry.irregular"
@@ -102,7 +102,7 @@ def _check_spacing(along_mm: NDArray[np.float64], ordered: Sequence[SliceHeader]
     if float(off.max()) > tolerance:
         at = int(off.argmax())
         problem = (
-            f"slice spacing is irregular: slice {at + 1} of {count} ({ordered[at].path.name}) lies {off[at]:.2f} "
+            f"slice spacing is irregular: slice {at + 1} of {count} ({ordered[at].file_name}) lies {off[at]:.2f} "
             f"mm off the regular {expected:.2f} mm grid; expected at most {tolerance:.2f} mm"
         )
         raise _refuse(what, problem, "choose another series", "import.geometry.irregular")
@@ -129,7 +129,7 @@ def grid_from_slices(slices: Sequence[SliceHeader], *, what: str) -> tuple[list[
         ``import.single-slice``, ``import.geometry.mixed``, ``.duplicate``, ``.irregular``, ``.shifted`` or ``.tilt``.
     """
     if len(slices) < 2:
-        problem = f"it contains only one image ({slices[0].path.name}); expected a stack of slices"
+        problem = f"it contains only one image ({slices[0].file_name}); expected a stack of slices"
         raise _refuse(what, problem, "choose the folder of the whole scan", "import.single-slice")
     _check_alike(slices, what)
     first = slices[0]
@@ -162,7 +162,7 @@ def grid_from_slices(slices: Sequence[SliceHeader], *, what: str) -> tuple[list[
     if float(across.max()) > allowed:
         at = int(across.argmax())
         problem = (
-            f"slice {at + 1} of {len(ordered)} ({ordered[at].path.name}) is shifted sideways by {across[at]:.2f} "
+            f"slice {at + 1} of {len(ordered)} ({ordered[at].file_name}) is shifted sideways by {across[at]:.2f} "
             f"mm; expected at most {allowed:.2f} mm"
         )
         raise _refuse(what, problem, "choose another series", "import.geometry.shifted")

@@ -187,11 +187,7 @@ def _series_of_file(path: Path, watch: Watch) -> list[FoundSeries]:
     return [
         item
         for item in find_series(content, watch)
-        if any(
-            h.path == own.path
-            or (h.sop_uid, h.series_uid, h.position_lps) == (own.sop_uid, own.series_uid, own.position_lps)
-            for h in item.slices
-        )
+        if any(h.path == own.path or h.image_key == own.image_key for h in item.slices)
     ]
 
 
