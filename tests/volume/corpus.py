@@ -1,7 +1,7 @@
 """Corpus of generated input files, each with the answer that the importer must give.
 
-``test_corpus.py`` and the page ``docs/import-answers.md`` use this table. ``corpus_dicom.py``, ``corpus_enhanced.py`` and
-``corpus_grids.py`` contain the entries; no entry contains data of a patient.
+``test_corpus.py`` and the page ``docs/import-answers.md`` use this table. ``corpus_dicom.py``, ``corpus_enhanced.py``
+and ``corpus_grids.py`` contain the entries; no entry contains data of a patient.
 
 ``python tests/volume/corpus.py`` rewrites the tables of the page.
 """

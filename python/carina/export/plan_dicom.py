@@ -130,7 +130,8 @@ def ct_images(
     Raises
     ------
     UsageError
-        ``plan.not-dicom`` if the CT is not DICOM; ``plan.other-ct`` if none of its series is the volume.
+        ``plan.not-dicom`` if the CT is not DICOM; ``plan.other-ct`` if none of its series is the volume;
+        ``plan.corrected-ct`` if its slices were resampled or interpolated.
     VolumeImportError
         If it cannot be read, or lacks the UIDs that are required for references.
     CancelledError
@@ -151,6 +152,12 @@ def _images(path: Path, volume: Volume, series: str | None, watch: Watch) -> CtI
         )
     chosen = [choose_series(found, key=series, where=place_name(path))[0]] if series is not None else found
     for one in chosen:
+        if one.stack is not None and one.stack.is_corrected and _has_geometry(one, volume):
+            raise UsageError(
+                f"{place_name(path)}: the CT was corrected when it was opened (gantry tilt or missing slices), so a "
+                "DICOM object cannot refer to its slices; save the target as .seg.nrrd",
+                code="plan.corrected-ct",
+            )
         if _is_volume(one, volume, watch):
             return _referable(path, one)
     which = "none of its series is" if series is None else "that series is not"
@@ -161,7 +168,7 @@ def _images(path: Path, volume: Volume, series: str | None, watch: Watch) -> CtI
     )
 
 
-def _is_volume(series: FoundSeries, volume: Volume, watch: Watch) -> bool:
+def _has_geometry(series: FoundSeries, volume: Volume) -> bool:
     if series.lps_from_ijk is None or series.info.shape_zyx is None:
         return False
     # The order of the axes must agree too, because frames are referenced by slice.
@@ -169,7 +176,11 @@ def _is_volume(series: FoundSeries, volume: Volume, watch: Watch) -> bool:
         series.lps_from_ijk[:3, :3], volume.lps_from_ijk[:3, :3], atol=1e-4
     ):
         return False
-    if not same_geometry(Geometry(series.info.shape_zyx, series.lps_from_ijk), volume):
+    return same_geometry(Geometry(series.info.shape_zyx, series.lps_from_ijk), volume)
+
+
+def _is_volume(series: FoundSeries, volume: Volume, watch: Watch) -> bool:
+    if not _has_geometry(series, volume):
         return False
     clipping = Clipping()
     for k in np.unique(np.linspace(0, len(series.slices) - 1, _LOOKED_AT).astype(int)):

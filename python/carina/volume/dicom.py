@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+import math
 import re
 from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -19,7 +21,7 @@ from carina.volume.dicom_checks import (
     refuse_contradicting_rescale,
 )
 from carina.volume.dicom_files import FolderContent, LostFiles, UnusedFile, name_files
-from carina.volume.dicom_geometry import grid_from_slices
+from carina.volume.dicom_geometry import SliceStack, grid_from_slices
 from carina.volume.dicom_headers import SETTINGS, SliceHeader, acquisition_date
 from carina.volume.dicom_pixel_bytes import release_pixel_data
 from carina.volume.dicom_pixels import Doubt, decode_slice, is_compressed
@@ -27,6 +29,7 @@ from carina.volume.dicom_series import Group, count_patients, group_slices, with
 from carina.volume.hu import HU_TYPES, MAX_DOUBTFUL_SHARE, HuVerdict, clipped_note, judge_dicom
 from carina.volume.jpeg2000_check import not_checked_note, second_decoder
 from carina.volume.message_limits import bounded_list, bounded_message, bounded_name
+from carina.volume.missing_slices import fill_between
 from carina.volume.model import Note, SeriesInfo, Volume, VolumeSource
 from carina.volume.padding import PaddingCount
 from carina.volume.progress import Watch
@@ -47,7 +50,8 @@ class FoundSeries:
 
     info: SeriesInfo
     slices: tuple[SliceHeader, ...]
-    lps_from_ijk: NDArray[np.float64] | None = None
+    stack: SliceStack | None = None
+    """Slices in order and the grid of their volume; None if the series is refused."""
     refusal: VolumeImportError | None = None
     score: float = 0.0
     """Number of slices times covered height in mm, weighted by header texts (body part, description, image type).
@@ -58,6 +62,11 @@ class FoundSeries:
     """Notes about the files of the series."""
     missing: tuple[UnusedFile, ...] = ()
     """Files that look like a part of the series and could not be used."""
+
+    @property
+    def lps_from_ijk(self) -> NDArray[np.float64] | None:
+        """Transform (4x4) from voxel centres to LPS mm; None if the series is refused."""
+        return None if self.stack is None else self.stack.lps_from_ijk
 
     @property
     def name(self) -> str:
@@ -79,7 +88,7 @@ def _name(info: SeriesInfo) -> str:
     return f"series {info.key}{text}"
 
 
-def _grid(group: Group, what: str) -> tuple[list[SliceHeader], NDArray[np.float64]]:
+def _grid(group: Group, what: str) -> SliceStack:
     """Return the sorted slices of a group and their grid, after checks of all headers."""
     slices = group.slices
     bad = [header for header in slices if header.problem is not None]
@@ -92,20 +101,27 @@ def _grid(group: Group, what: str) -> tuple[list[SliceHeader], NDArray[np.float6
         )
         raise VolumeImportError(msg, code=first.problem_code)
     if len(slices) * slices[0].rows * slices[0].columns > MAX_VOXELS:
-        msg = (
-            f"{what}: its {len(slices)} slices have more than {MAX_VOXELS} voxels; expected one chest CT; choose "
-            "another series"
-        )
-        raise VolumeImportError(msg, code="import.too-large")
+        raise _too_large(what, len(slices))
     try:
-        found = grid_from_slices(slices, what=what)
+        # Slices on other grids that were separated from this series may be the missing ones.
+        found = grid_from_slices(slices, what=what, fills_gaps=not group.mixed_with)
     except VolumeImportError:
         # Slices on other grids were separated from this series; the error of the undivided series states this cause.
         if group.mixed_with:
             grid_from_slices(group.mixed_with, what=what)
         raise
-    check_rescale_tags(found[0], what)
+    check_rescale_tags(found.slices, what)
+    if math.prod(found.shape_zyx) > MAX_VOXELS:
+        raise _too_large(what, found.shape_zyx[0])
     return found
+
+
+def _too_large(what: str, num_slices: int) -> VolumeImportError:
+    msg = (
+        f"{what}: its {num_slices} slices have more than {MAX_VOXELS} voxels; expected one chest CT; choose another "
+        "series"
+    )
+    return VolumeImportError(msg, code="import.too-large")
 
 
 def _score(slices: Sequence[SliceHeader], coverage_mm: float) -> float:
@@ -166,10 +182,13 @@ def find_series(content: FolderContent, watch: Watch) -> list[FoundSeries]:
         notes = (*common, *group.notes, *_notes_of_files(slices, missing, copies))
         series = FoundSeries(info, slices, notes=notes, missing=tuple(missing))
         try:
-            ordered, lps_from_ijk = _grid(group, f"reading {_name(info)}")
-            shape = (len(ordered), first.rows, first.columns)
+            stack = _grid(group, f"reading {_name(info)}")
             series = replace(
-                series, info=replace(info, shape_zyx=shape), slices=tuple(ordered), lps_from_ijk=lps_from_ijk
+                series,
+                info=replace(info, shape_zyx=stack.shape_zyx),
+                slices=stack.slices,
+                stack=stack,
+                notes=(*notes, *stack.notes),
             )
         except VolumeImportError as error:
             refusal = _with_unused_files(error, missing)
@@ -311,7 +330,8 @@ def open_series(series: FoundSeries, *, others: Sequence[SeriesInfo], notes: tup
     CancelledError
         If the user cancels; at most one slice is read after that.
     """
-    if series.lps_from_ijk is None or series.info.shape_zyx is None:
+    stack = series.stack
+    if stack is None:
         raise series.refusal or VolumeImportError(f"reading {series.name}: it has no voxel grid")
     first = series.slices[0]
     all_notes = list(notes)
@@ -345,8 +365,10 @@ def open_series(series: FoundSeries, *, others: Sequence[SeriesInfo], notes: tup
             "import.slices-odd", ("a slice differs from both its neighbours far more than they differ from each other")
         )
         compressed = any(is_compressed(header) for header in series.slices)
-        slice_mm = float(np.linalg.norm(series.lps_from_ijk[:3, 2]))
-        doubts.extend((series.slices[at], odd) for at in odd_slices(values, compressed=compressed, slice_mm=slice_mm))
+        slice_mm = float(np.linalg.norm(stack.lps_from_ijk[:3, 2]))
+        at_level = dict(zip(stack.levels, stack.slices, strict=True))
+        found = odd_slices(values, compressed=compressed, slice_mm=slice_mm)
+        doubts.extend((at_level[level], odd) for level in found if level in at_level)
     in_doubt = doubt_notes(doubts, len(series.slices))
     verdict = judge_dicom(
         values,
@@ -371,9 +393,11 @@ def open_series(series: FoundSeries, *, others: Sequence[SeriesInfo], notes: tup
         notes=tuple(all_notes),
         acquired_on=acquisition_date(first.path),
         slice_thickness_mm=_common_thickness_mm(series.slices),
+        interpolated_slices=stack.missing,
+        tilt_deg=None if stack.tilt is None else round(stack.tilt.tilt_deg, 2),
     )
     watch.step("Reading the slices", 1.0)
-    return Volume(values, series.lps_from_ijk, is_hu=verdict.is_hu, not_hu_reason=verdict.reason, source=source)
+    return Volume(values, stack.lps_from_ijk, is_hu=verdict.is_hu, not_hu_reason=verdict.reason, source=source)
 
 
 def _common_thickness_mm(slices: Sequence[SliceHeader]) -> float | None:
@@ -389,12 +413,13 @@ def _read_slices(
     doubts: list[tuple[SliceHeader, Doubt]],
     watch: Watch,
 ) -> NDArray[np.int16]:
-    """Return the decoded slices; count clipped and padded voxels, and collect doubts."""
-    assert series.info.shape_zyx is not None
+    """Return the decoded slices on the grid of the stack; count clipped and padded voxels, and collect doubts."""
+    stack = series.stack
+    assert stack is not None
     values: NDArray[np.int16] | None = None
     before: tuple[SliceHeader, NDArray[Any]] | None = None
-    for index, header in enumerate(series.slices):
-        watch.step("Reading the slices", index / len(series.slices))
+    for index, (header, level) in enumerate(zip(stack.slices, stack.levels, strict=True)):
+        watch.step("Reading the slices", index / len(stack.slices))
         pixels = decode_slice(header)
         numbers: NDArray[Any] = pixels.numbers
         doubts.extend((header, doubt) for doubt in pixels.doubts)
@@ -405,11 +430,16 @@ def _read_slices(
         before = header, numbers
         # Allocated after the first slice, so that an unreadable one does not cost the memory of the volume.
         if values is None:
-            values = np.empty(series.info.shape_zyx, dtype=np.int16)
+            values = np.empty(stack.shape_zyx, dtype=np.int16)
         if numbers.dtype.kind == "f":
             numbers = np.rint(numbers)
-        values[index] = clipping.clip(header, numbers)
+        numbers = clipping.clip(header, numbers)
+        values[level] = numbers if stack.tilt is None else stack.tilt.correct(numbers.astype(np.int16), index)
     assert values is not None  # a grid has at least two slices
+    if stack.tilt is not None:
+        stack.tilt.fill_beyond(values, stack.levels, (stack.slices[0].rows, stack.slices[0].columns))
+    for low, high in itertools.pairwise(stack.levels):
+        fill_between(values, low, high)
     return values
 
 

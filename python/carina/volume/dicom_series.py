@@ -246,7 +246,7 @@ def _is_regular(slices: Sequence[SliceHeader]) -> bool:
     if any(header.problem is not None for header in slices):
         return False
     try:
-        grid_from_slices(slices, what="")
+        grid_from_slices(slices, what="", fills_gaps=False)
     except VolumeImportError:
         return False
     return True

@@ -88,6 +88,10 @@ class VolumeSource:
     """
     slice_thickness_mm: float | None = None
     """SliceThickness of DICOM in mm: the thickness of tissue that one slice averages; None without one common value."""
+    interpolated_slices: tuple[int, ...] = ()
+    """Indices k of slices that were missing in the files and were interpolated; a badge names them."""
+    tilt_deg: float | None = None
+    """Gantry tilt in degrees that was corrected by resampling, with a badge; None for a scan without tilt."""
 
     @property
     def warnings(self) -> tuple[str, ...]:
