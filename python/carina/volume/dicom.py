@@ -40,6 +40,14 @@ _CHEST = re.compile(r"chest|thora|lung|pulmo|bronch", re.IGNORECASE)
 _UID = re.compile(r"[\w.-]*\d+(?:\.\d+){4,}[\w.-]*")
 _DERIVED = re.compile(r"\b(mip|minip|mpr|projection image|screen save|average|subtract\w*)\b")
 _MAX_SERIES_NAMED = 4  # largest number of series that one message names
+_MAX_DATES = 100  # largest number of series of a folder whose dates are read
+_PHASES = {
+    "NominalPercentageOfRespiratoryPhase": "breathing {} %",
+    "NominalPercentageOfCardiacPhase": "heart {} %",
+    "TemporalPositionIndex": "time {}",
+    "TemporalPositionIdentifier": "time {}",
+    "TemporalPositionTimeOffset": "time {} s",
+}
 _IMAGE_TYPE = list(SETTINGS).index("ImageType")
 _ELSEWHERE = re.compile(r"head|brain|skull|neuro|sinus|abdom|pelvi|spine|knee|foot|hand|leg\b|hip\b", re.IGNORECASE)
 
@@ -178,6 +186,14 @@ def find_series(content: FolderContent, watch: Watch) -> list[FoundSeries]:
             description=", ".join(filter(None, (description, group.label))),
             num_slices=len(slices),
         )
+        info = replace(
+            info,
+            thickness_mm=_common_thickness_mm(slices),
+            kernel=_common_setting(slices, "ConvolutionKernel"),
+            phase=_phase(slices),
+            # A folder of very many series is a damaged copy or no patient's scan; the dates would take long.
+            acquired_on=acquisition_date(first.path) if len(groups) <= _MAX_DATES else None,
+        )
         missing = lost.files_like(slices)
         notes = (*common, *group.notes, *_notes_of_files(slices, missing, copies))
         series = FoundSeries(info, slices, notes=notes, missing=tuple(missing))
@@ -185,7 +201,12 @@ def find_series(content: FolderContent, watch: Watch) -> list[FoundSeries]:
             stack = _grid(group, f"reading {_name(info)}")
             series = replace(
                 series,
-                info=replace(info, shape_zyx=stack.shape_zyx),
+                info=replace(
+                    info,
+                    shape_zyx=stack.shape_zyx,
+                    height_mm=round(float(np.linalg.norm(stack.lps_from_ijk[:3, 2])) * (stack.shape_zyx[0] - 1), 2),
+                    slice_distance_mm=round(float(np.linalg.norm(stack.lps_from_ijk[:3, 2])), 4),
+                ),
                 slices=stack.slices,
                 stack=stack,
                 notes=(*notes, *stack.notes),
@@ -195,6 +216,31 @@ def find_series(content: FolderContent, watch: Watch) -> list[FoundSeries]:
             series = replace(series, info=replace(info, refused=_UID.sub("(file name)", str(refusal))), refusal=refusal)
         found.append(replace(series, score=_score(slices, series.coverage_mm)))
     return sorted(found, key=lambda item: (-item.score, item.info.key))
+
+
+def _common_setting(slices: Sequence[SliceHeader], keyword: str) -> str:
+    """Return the value of a setting that all slices have; empty without one common value."""
+    at = list(SETTINGS).index(keyword)
+    found = {header.settings[at] for header in slices}
+    text = found.pop() if len(found) == 1 else ""
+    return "".join(c for c in text if c.isprintable())[:32]
+
+
+def _phase(slices: Sequence[SliceHeader]) -> str:
+    """Return the phase or time point of all slices; empty without one."""
+    found = ((words, _common_setting(slices, keyword)) for keyword, words in _PHASES.items())
+    return next((words.format(value) for words, value in found if value), "")
+
+
+def _reason(series: FoundSeries) -> str:
+    """Return why a series is the likeliest chest CT of its folder, from the facts of its score."""
+    info = series.info
+    if info.height_mm is None or info.slice_distance_mm is None:
+        return ""
+    named = (
+        ", named as a chest" if _CHEST.search(f"{series.slices[0].body_part} {series.slices[0].description}") else ""
+    )
+    return f" (the likeliest chest CT: {info.height_mm:.0f} mm in slices {info.slice_distance_mm:.3g} mm apart{named})"
 
 
 def _notes_of_folder(headers: Sequence[SliceHeader]) -> tuple[Note, ...]:
@@ -302,8 +348,8 @@ def choose_series(found: Sequence[FoundSeries], *, key: str | None, where: str) 
     others = [item.info for item in found if item is not chosen]
     if others:
         words = (
-            f"the folder contains several series; opened: {chosen.name}, {chosen.info.num_slices} slices; not opened: "
-            f"{describe_series(others)}"
+            f"the folder contains several series; opened: {chosen.name}, {chosen.info.num_slices} slices"
+            f"{_reason(chosen)}; not opened: {describe_series(others)}"
         )
         notes.append(Note("import.several-series", bounded_message(words)))
     return chosen, (*notes, *chosen.notes)

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -75,7 +75,7 @@ class Inspection:
         """Return the facts as plain JSON types, as ``carina info --json`` prints them."""
         return {
             "format": self.format,
-            "series": [asdict(info) for info in self.series],
+            "series": [info.to_json() for info in self.series],
             "chosen": None if self.chosen is None else self.chosen.key,
             "shape_zyx": None if self.shape_zyx is None else list(self.shape_zyx),
             "spacing_mm": None if self.spacing_mm is None else list(self.spacing_mm),
