@@ -1,68 +1,54 @@
-"""Tests of divided slices: cubic B-splines, compared with a plain solution of their equations."""
+"""Tests of the note on airways in interpolated slices, and of their confidence."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
-from carina.track.paths.interpolated_slices import with_divided_slices
+from carina.track.find.interpolated_slices import INTERPOLATED, MAX_CONFIDENCE, with_interpolated_note
+from carina.track.tree.airway_tree import AirwayTree, Branch
+from carina.volume import Volume, VolumeSource
 
-
-def spline(x):
-    x = np.abs(x)
-    return np.where(x < 1.0, 2.0 / 3.0 - x**2 + 0.5 * x**3, np.where(x < 2.0, (2.0 - x) ** 3 / 6.0, 0.0))
+SPACING_MM = np.array([0.7, 0.7, 2.0])
 
 
-def mirrored(place, num):
-    place = abs(place) % (2 * (num - 1))
-    return min(place, 2 * (num - 1) - place)
+def ct(*missing: int) -> Volume:
+    source = VolumeSource(format="dicom", title="ct", interpolated_slices=missing)
+    return Volume(np.zeros((40, 20, 20), np.int16), np.diag([*SPACING_MM, 1.0]), source=source)
 
 
-def slowly(values, parts):
-    """Return the spline at the middle of each part of one column, from a plain solution of the equations."""
-    num = len(values)
-    matrix = np.zeros((num, num))
-    for k in range(num):
-        for step in (-1, 0, 1):
-            matrix[k, mirrored(k + step, num)] += spline(step)
-    coefficients = np.linalg.solve(matrix, values.astype(np.float64))
-    at = (np.arange(num * parts) + 0.5) / parts - 0.5
-    found = np.array([sum(spline(x - k) * coefficients[mirrored(k, num)] for k in range(-3, num + 3)) for x in at])
-    return np.clip(found, values.min(), values.max())
+def branch(number: int, levels: tuple[float, float], **fields) -> Branch:
+    ijk = np.stack([np.full(11, 9.0), np.full(11, 9.0), np.linspace(*levels, 11)], axis=1)
+    parent = None if number == 0 else number - 1
+    children = (1,) if number == 0 else ()
+    return Branch(number, parent, children, number, None, "tracked", ijk * SPACING_MM, np.full(11, 3.0), **fields)
 
 
-@given(
-    num=st.integers(2, 12),
-    parts=st.integers(2, 6),
-    seed=st.integers(0, 2**32 - 1),
-)
-def test_interpolated_voxel_column_equals_the_plain_solution(num, parts, seed):
-    column = np.random.default_rng(seed).integers(-1024, 3000, num).astype(np.int16)
-    found = with_divided_slices(column.reshape(num, 1, 1), parts)[:, 0, 0]
-    assert np.abs(found - slowly(column, parts)).max() <= 0.6
+@pytest.fixture
+def tree() -> AirwayTree:
+    """Return a long branch from slice 30 to 12, and a short one from slice 12 to 10."""
+    return AirwayTree((branch(0, (30, 12), confidence=0.9), branch(1, (12, 10), confidence=0.9)))
 
 
-def test_interpolated_voxel_columns_are_independent_of_each_other_and_of_memory_layout():
-    stack = np.random.default_rng(1).integers(-1024, 1000, (7, 70, 5)).astype(np.int16)
-    # The second column stays in its range of values, which limits the result.
-    stack[0, 41, 2], stack[1, 41, 2] = -1024, 1000
-    whole = with_divided_slices(stack, 3)
-    assert whole.shape == (21, 70, 5)
-    assert whole.flags.c_contiguous
-    np.testing.assert_array_equal(with_divided_slices(np.asfortranarray(stack), 3), whole)
-    part = np.ascontiguousarray(stack[:, 41:44, 2:3])
-    np.testing.assert_array_equal(with_divided_slices(part, 3), whole[:, 41:44, 2:3])
+def test_tree_of_a_ct_without_interpolated_slices_has_no_note(tree):
+    assert with_interpolated_note(tree, ct()) == (tree, None)
 
 
-@pytest.mark.parametrize("parts", [3, 5])
-def test_middle_of_an_odd_number_of_interpolated_slices_is_the_slice_itself(parts):
-    stack = np.random.default_rng(2).integers(-1024, 1000, (6, 4, 5)).astype(np.int16)
-    np.testing.assert_array_equal(with_divided_slices(stack, parts)[parts // 2 :: parts], stack)
+def test_tree_that_does_not_pass_the_interpolated_slices_has_no_note(tree):
+    assert with_interpolated_note(tree, ct(3, 4)) == (tree, None)
 
 
-def test_single_slice_or_division_into_one_part_is_not_interpolated():
-    stack = np.random.default_rng(3).integers(-1024, 1000, (5, 4, 3)).astype(np.int16)
-    np.testing.assert_array_equal(with_divided_slices(stack, 1), stack)
-    np.testing.assert_array_equal(with_divided_slices(stack[:1], 4), np.repeat(stack[:1], 4, axis=0))
+def test_branch_that_passes_a_gap_keeps_its_confidence_and_is_counted(tree):
+    changed, note = with_interpolated_note(tree, ct(20))
+    assert note is not None
+    assert (note.code, note.badge) == (INTERPOLATED, True)
+    assert "1 of 2 branches passes through interpolated slices. Do not trust" in note.words
+    assert [one.confidence for one in changed.branches] == [0.9, 0.9]
+
+
+def test_branch_mostly_in_interpolated_slices_has_limited_confidence_and_is_named(tree):
+    changed, note = with_interpolated_note(tree, ct(11))
+    assert note is not None
+    assert "1 of 2 branches passes" in note.words
+    assert "most of branch 1 is in them" in note.words
+    assert [one.confidence for one in changed.branches] == [0.9, MAX_CONFIDENCE]

@@ -113,7 +113,7 @@ RESCALE = [
     Input("no slope in any slice, an intercept in all", "DICOM: rescale", _all(RescaleSlope=None), "opens", ("import.rescale-absent",), voxels=chest, do=TISSUE),
     Input("a rescale type that is not HU", "DICOM: rescale", _all(RescaleType="US"), "opens", is_hu=False, voxels=chest, do=OTHER),
     Input("a different slope and intercept in every slice", "DICOM: rescale", _own_rescale, **WHOLE),
-    Input("an enhanced image: several frames in one file", "DICOM: rescale", _all(NumberOfFrames=7), "import.multi-frame", do="Export the series with one file for each slice (classic CT images)."),
+    Input("several frames in one file, without functional groups", "DICOM: rescale", _all(NumberOfFrames=7), "import.multi-frame", do="Export the series with one file for each slice (classic CT images)."),
 ]  # fmt: skip
 
 
@@ -124,6 +124,24 @@ def _change(keyword: str, first: Any, second: Any, at: Callable[[int], bool] = l
 CHANGE, MISSING = ("import.settings-change",), ("import.settings-missing",)
 NAMELESS = ("import.identity-missing",)
 FRAMES = ("import.frame-per-slice",)
+
+
+def _without(*lost: int) -> Make:
+    def make(folder: Path) -> Path:
+        series(folder)
+        for index in lost:
+            (folder / f"IM{index:03d}").unlink()
+        return folder
+
+    return make
+
+
+def _tilted(folder: Path) -> Path:
+    lean_mm = GAP_MM * float(np.tan(np.radians(20.0)))
+    return series(
+        folder,
+        lambda d, k: setattr(d, "ImagePositionPatient", [-11.25, round(-14.5 + k * lean_mm, 6), k * GAP_MM]),
+    )
 
 
 def _frame_per_slice_with_a_gap(folder: Path) -> Path:
@@ -185,7 +203,7 @@ HEALTHY = [
     Input("a different frame of reference in every slice", ONE, _tags(lambda i: {"FrameOfReferenceUID": f"1.2.3.4.6.{i}"}), notes=FRAMES, names=("20 slices", "20 frames"), **WHOLE),
     Input("a different frame of reference in most slices; two slices share one, three slices have none", ONE, _tags(lambda i: {"FrameOfReferenceUID": None if i in THREE else f"1.2.3.4.6.{max(i, 1)}"}), notes=FRAMES, **WHOLE),
     Input("a different frame of reference in every slice, and two kernels in alternating slices", ONE, _two_kernels_and_a_frame_per_slice, "opens", ("import.several-series", "import.frame-per-slice", "import.series-parted"), series=2, voxels=chest, do=CHOOSE),
-    Input("a different frame of reference in every slice, and a missing slice", ONE, _frame_per_slice_with_a_gap, "import.geometry.irregular", names=("IM007",), do=MISSING_SLICES),
+    Input("a different frame of reference in every slice, and a missing slice", ONE, _frame_per_slice_with_a_gap, "opens", ("import.frame-per-slice", "import.slices-interpolated"), names=("slice 9",), do=MISSING_SLICES),
     Input("some slices without StudyInstanceUID", ONE, _some(THREE, StudyInstanceUID=""), notes=NAMELESS, do=CHECK, **WHOLE),
     Input("no patient, study, frame of reference, series number or acquisition number in any slice", ONE, _all(PatientID=None, PatientName=None, PatientBirthDate=None, StudyInstanceUID=None, FrameOfReferenceUID=None, SeriesNumber=None, AcquisitionNumber=None, SOPInstanceUID=None), **WHOLE),
     Input("image orientations that are rounded differently", ONE, _change("ImageOrientationPatient", [1, 0, 0, 0, 1, 0], [1, 0.00001, 0, -0.00001, 1, 0]), **WHOLE),
@@ -296,7 +314,11 @@ SEVERAL = [
     Input("no series UID, two kernels in alternating slices", TWO, _two({"ConvolutionKernel": "B70f"}, both={"SeriesInstanceUID": None}), notes=PARTED, **PART),
     Input("two breath-holds that overlap by four slices", TWO, _two({"AcquisitionNumber": 2}, shift_mm=16 * GAP_MM, keep=_short), notes=(*PARTED, "import.part-of-stack"), **PART),
     Input("a second kernel at some of the positions", TWO, _two({"ConvolutionKernel": "B70f"}, shift_mm=0, keep=lambda i: i in (2, 3, 7, 11)), notes=PARTED, **PART),
-    Input("two kernels at the same positions, both with missing slices", TWO, _two({"ConvolutionKernel": "B70f"}, shift_mm=0, keep=lambda i: i not in (6, 7), keep_first=lambda i: i not in (11, 12, 13)), "import.geometry.irregular", do=f"{MISSING_SLICES} {OTHER}"),
+    Input("two kernels at the same positions, both with missing slices", TWO, _two({"ConvolutionKernel": "B70f"}, shift_mm=0, keep=lambda i: i not in (6, 7), keep_first=lambda i: i not in (11, 12, 13)), "opens", ("import.several-series", "import.series-parted", "import.slices-interpolated"), series=2, names=("slices 7 to 8",), do=MISSING_SLICES),
+    Input("one missing slice", ONE, _without(8), "opens", ("import.slices-interpolated",), names=("slice 9",), do=MISSING_SLICES),
+    Input("two gaps of one slice", ONE, _without(4, 15), "opens", ("import.slices-interpolated",), names=("slices 5, 16",), do=MISSING_SLICES),
+    Input("three of twenty slices missing", ONE, _without(4, 8, 15), "import.geometry.irregular", names=("10 %",), do=MISSING_SLICES),
+    Input("a gantry tilt of 20 degrees", ONE, _tilted, "opens", ("import.tilt-corrected",), names=("20.0 degrees",)),
     Input("two scans at the same positions that do not differ in any tag", TWO, _two({}, shift_mm=0), "import.geometry.duplicate", do="Keep one slice for each position."),
 ]  # fmt: skip
 

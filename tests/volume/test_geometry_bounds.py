@@ -1,4 +1,4 @@
-"""Tests of the limits of the geometry checks: a value just inside opens, a value just outside is refused."""
+"""Tests of the limits of the geometry checks: a value just inside opens, one just outside is refused or corrected."""
 
 from __future__ import annotations
 
@@ -26,6 +26,8 @@ def stack(
     return [
         SimpleNamespace(
             path=Path(f"IM{n:03d}"),
+            file_name=f"IM{n:03d}",
+            frame=None,
             rows=side,
             columns=side,
             position_lps=tuple(position),
@@ -44,11 +46,12 @@ def heights(*gaps: float) -> np.ndarray:
 
 
 def answer(slices: list[SimpleNamespace]) -> str:
+    """Return "opens", the end of the code of a correction, or the end of the code of a refusal."""
     try:
-        grid_from_slices(slices, what="reading a series")
+        found = grid_from_slices(slices, what="reading a series")
     except VolumeImportError as error:
         return error.code.removeprefix("import.").removeprefix("geometry.")
-    return "opens"
+    return found.notes[0].code.removeprefix("import.") if found.notes else "opens"
 
 
 def one_gap(expected: float, share: float) -> list[SimpleNamespace]:
@@ -80,6 +83,15 @@ def one_off(expected: float, off_mm: float) -> list[SimpleNamespace]:
     positions = heights(*[expected] * 20)
     positions[10, 2] += off_mm
     return stack(positions)
+
+
+def wide_gap(gap_mm: float, expected: float) -> list[SimpleNamespace]:
+    """Return a stack of forty distances of which one is ``gap_mm``; the next one compensates for the rounding."""
+    gaps = np.full(40, expected)
+    gaps[20] = gap_mm
+    gaps[21] -= (gap_mm - 2 * expected) / 2
+    gaps[19] -= (gap_mm - 2 * expected) / 2
+    return stack(heights(*gaps))
 
 
 def sideways(shift_mm: float, spacing: tuple[float, float], axis: int = 0) -> list[SimpleNamespace]:
@@ -150,9 +162,13 @@ BOUNDS = {
     "sideways -0.1 mm along y": (lambda share: sideways(-0.1 * share, (0.7, 0.7), axis=1), "opens", "shifted"),
     "sideways 0.15 mm at 1.5 mm pixels": (lambda share: sideways(0.15 * share, (1.5, 2.0)), "opens", "shifted"),
     # Tilt: limit of 0.2 degrees, or 0.1 mm over the height.
-    "leaning 0.2 degrees over 299 mm": (lambda share: tilted(0.2 * share, 300), "opens", "tilt"),
-    "leaning -0.2 degrees along y": (lambda share: tilted(-0.2 * share, 300, axis=1), "opens", "tilt"),
-    "leaning 0.1 mm over 4 mm": (lambda share: lean(0.1 * share), "opens", "tilt"),
+    "leaning 0.2 degrees over 299 mm": (lambda share: tilted(0.2 * share, 300), "opens", "tilt-corrected"),
+    "leaning -0.2 degrees along y": (lambda share: tilted(-0.2 * share, 300, axis=1), "opens", "tilt-corrected"),
+    "leaning 0.1 mm over 4 mm": (lambda share: lean(0.1 * share), "opens", "tilt-corrected"),
+    # Largest tilt that is corrected.
+    "leaning 35 degrees": (lambda share: tilted(35.0 * share, 30), "tilt-corrected", "tilt"),
+    # Missing slices: at most 3 in a gap, a gap of at most 10 mm (and the tolerance), a tenth of the slices.
+    "gap of 10.6 mm at 5 mm": (lambda share: wide_gap(10.6 * share, 5.0), "slices-interpolated", "irregular"),
     # Position of the far corner of the image: limit of 0.1 mm.
     "rows turned": (lambda share: turned(0.1 * share, "row"), "opens", "mixed"),
     "columns turned": (lambda share: turned(0.1 * share, "column"), "opens", "mixed"),
@@ -178,7 +194,7 @@ def test_slice_shifted_by_a_third_of_a_millimetre_is_refused_in_a_straight_stack
 def test_large_tilt_angle_or_large_shift_alone_is_not_refused_as_gantry_tilt():
     assert answer(lean(0.09, height_mm=2.0)) == "opens"  # 2.6 degrees and 0.09 mm
     assert answer(tilted(0.19, 300)) == "opens"  # 0.99 mm and 0.19 degrees
-    assert answer(tilted(0.3, 300)) == "tilt"
+    assert answer(tilted(0.3, 300)) == "tilt-corrected"
 
 
 @pytest.mark.parametrize(
@@ -193,7 +209,14 @@ def test_series_of_one_slice_is_refused_and_one_of_two_slices_opens(count, expec
     assert answer(stack(heights(*[1.0] * (count - 1)))) == expected
 
 
-@pytest.mark.parametrize(("missing", "text"), [(1, "a slice may be missing"), (3, "3 slices may be missing")])
+@pytest.mark.parametrize(("count", "missing", "good"), [(30, 3, True), (29, 3, False), (20, 3, False), (60, 4, False)])
+def test_missing_slices_are_interpolated_up_to_their_largest_number_and_share(count, missing, good):
+    gaps = [1.0] * (count - missing - 1)
+    gaps[7] = 1.0 + missing
+    assert answer(stack(heights(*gaps))) == ("slices-interpolated" if good else "irregular")
+
+
+@pytest.mark.parametrize(("missing", "text"), [(4, "4 slices may be missing"), (6, "6 slices may be missing")])
 def test_number_of_missing_slices_is_stated_in_the_refusal(missing, text):
     gaps = [1.0] * 20
     gaps[7] = 1.0 + missing
@@ -205,11 +228,12 @@ def test_affine_matrix_of_a_series_has_the_positions_of_the_slices_and_their_til
     slices = stack(heights(*[1.25] * 8), spacing=(0.7, 0.9))
     for n, one in enumerate(slices):
         one.position_lps = tuple(ORIGIN_LPS + n * np.array([0.002, -0.001, 1.25]))
-    ordered, lps_from_ijk = grid_from_slices(slices[::-1], what="reading a series")
-    assert ordered == slices
+    found = grid_from_slices(slices[::-1], what="reading a series")
+    assert list(found.slices) == slices
+    assert found.notes == ()
     expected = np.eye(4)
     expected[:3] = np.stack([(0.7, 0, 0), (0, 0.9, 0), (0.002, -0.001, 1.25), ORIGIN_LPS], axis=1)
-    np.testing.assert_allclose(lps_from_ijk, expected, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(found.lps_from_ijk, expected, rtol=0, atol=1e-12)
 
 
 def test_slice_gap_of_a_fractional_number_of_slices_is_refused_as_irregular():
@@ -223,7 +247,7 @@ def test_slice_gap_of_a_fractional_number_of_slices_is_refused_as_irregular():
 
 def test_number_of_further_irregular_slice_gaps_is_stated():
     gaps = [1.0] * 20
-    gaps[7] = gaps[11] = 2.0
+    gaps[7] = gaps[11] = 2.5
     with pytest.raises(VolumeImportError, match=r"\(and at 1 more places\)"):
         grid_from_slices(stack(heights(*gaps)), what="reading a series")
 

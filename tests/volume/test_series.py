@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import json
 import logging
 
 import numpy as np
 import pytest
+from dicom_writer import chest, series
 from pydicom.uid import generate_uid
 
 from carina.errors import CancelledError, UsageError, VolumeImportError
@@ -217,3 +219,20 @@ def test_slice_thickness_of_slices_with_two_different_values_is_unknown(write_se
         dataset.SliceThickness = 5.0 if index else 2.5
 
     assert open_volume(write_series(edit=edit)).source.slice_thickness_mm is None
+
+
+def test_listed_series_state_distance_thickness_kernel_and_phase(tmp_path):
+    def edit(dataset, index):
+        dataset.SliceThickness = 3.0
+        dataset.NominalPercentageOfCardiacPhase = 70
+        dataset.AcquisitionDate = "20261130"
+
+    folder = series(tmp_path / "scan", edit)
+    series(tmp_path / "scan" / "second", number=4, hu=chest(12, seed=6))
+    first, second = inspect_path(folder).series
+    assert (first.slice_distance_mm, first.height_mm, first.thickness_mm) == (2.5, 47.5, 3.0)
+    assert (first.kernel, first.phase, first.acquired_on) == ("b41f", "heart 70 %", "2026-11-30")
+    assert (second.thickness_mm, second.phase, second.acquired_on) == (None, "", None)
+    assert "2026" not in json.dumps(inspect_path(folder).to_json()) + repr(first)
+    (note,) = open_volume(folder).source.notes
+    assert "(the likeliest chest CT: 48 mm in slices 2.5 mm apart, named as a chest)" in note.words

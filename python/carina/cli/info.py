@@ -36,6 +36,8 @@ def report(path: Path, *, strict: bool, series: str | None, as_json: bool, ct: P
                 "warnings": list(volume.source.warnings),
                 "notes": [note.to_json() for note in volume.source.notes],
                 "badges": [note.to_json() for note in badges],
+                "interpolated_slices": list(volume.source.interpolated_slices),
+                "tilt_deg": volume.source.tilt_deg,
                 "citation": None if volume.source.citation is None else str(volume.source.citation),
                 "inspection": None if inspection is None else inspection.to_json(),
                 "quality": quality.to_json(),
@@ -51,9 +53,14 @@ def report(path: Path, *, strict: bool, series: str | None, as_json: bool, ct: P
         print_result(f"  values {low} to {high}, {unit}")
         for other in volume.source.other_series:
             state = f"cannot be opened: {other.refused}" if other.refused else "open it with --series"
+            facts = [
+                f"{other.thickness_mm:g} mm thick" if other.thickness_mm is not None else "",
+                f"kernel {other.kernel}" if other.kernel and other.kernel not in other.description else "",
+                other.phase,
+            ]
             print_result(
                 f"  also found: series {other.key}, {other.modality}, {other.num_slices} slices, "
-                f"{other.description or 'no description'} ({state})"
+                f"{', '.join(filter(None, [other.description or 'no description', *facts]))} ({state})"
             )
         for note in volume.source.notes:
             print_result(f"  {'finding' if note.badge else 'note'}: {note.words}")

@@ -16,6 +16,13 @@ class OpenPath(Command, frozen=True):
     path: PathText
 
 
+class OpenSeries(Command, frozen=True):
+    """Open another DICOM series of the folder from which the CT on screen was opened."""
+
+    key: Identifier
+    """Key of the series: ``case.other_series[].key``."""
+
+
 class OpenCaseFile(LocalCommand, frozen=True):
     """Open a case file of this machine."""
 

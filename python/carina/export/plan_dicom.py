@@ -12,7 +12,7 @@ from __future__ import annotations
 import datetime
 import io
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, Literal
@@ -77,6 +77,19 @@ class CtImages:
         """Return the number of images, without their UIDs and names."""
         return f"CtImages({len(self.slices)} images)"
 
+    def reference(self, k: int) -> Dataset:
+        """Return a reference to the image of a slice; for a frame of an enhanced file with its frame number."""
+        header = self.slices[k]
+        item = Dataset()
+        item.ReferencedSOPClassUID, item.ReferencedSOPInstanceUID = self.image_class, header.sop_uid
+        if header.num_frames > 1 and header.frame is not None:
+            item.ReferencedFrameNumber = header.frame + 1
+        return item
+
+    def instance_uids(self, used: Iterable[int]) -> list[str]:
+        """Return the UIDs of the files of some slices, each once."""
+        return list(dict.fromkeys(self.slices[k].sop_uid for k in used))
+
     @property
     def image_class(self) -> str:
         """SOP class UID of the images."""
@@ -117,7 +130,8 @@ def ct_images(
     Raises
     ------
     UsageError
-        ``plan.not-dicom`` if the CT is not DICOM; ``plan.other-ct`` if none of its series is the volume.
+        ``plan.not-dicom`` if the CT is not DICOM; ``plan.other-ct`` if none of its series is the volume;
+        ``plan.corrected-ct`` if its slices were resampled or interpolated.
     VolumeImportError
         If it cannot be read, or lacks the UIDs that are required for references.
     CancelledError
@@ -138,6 +152,12 @@ def _images(path: Path, volume: Volume, series: str | None, watch: Watch) -> CtI
         )
     chosen = [choose_series(found, key=series, where=place_name(path))[0]] if series is not None else found
     for one in chosen:
+        if one.stack is not None and one.stack.is_corrected and _has_geometry(one, volume):
+            raise UsageError(
+                f"{place_name(path)}: the CT was corrected when it was opened (gantry tilt or missing slices), so a "
+                "DICOM object cannot refer to its slices; save the target as .seg.nrrd",
+                code="plan.corrected-ct",
+            )
         if _is_volume(one, volume, watch):
             return _referable(path, one)
     which = "none of its series is" if series is None else "that series is not"
@@ -148,7 +168,7 @@ def _images(path: Path, volume: Volume, series: str | None, watch: Watch) -> CtI
     )
 
 
-def _is_volume(series: FoundSeries, volume: Volume, watch: Watch) -> bool:
+def _has_geometry(series: FoundSeries, volume: Volume) -> bool:
     if series.lps_from_ijk is None or series.info.shape_zyx is None:
         return False
     # The order of the axes must agree too, because frames are referenced by slice.
@@ -156,7 +176,11 @@ def _is_volume(series: FoundSeries, volume: Volume, watch: Watch) -> bool:
         series.lps_from_ijk[:3, :3], volume.lps_from_ijk[:3, :3], atol=1e-4
     ):
         return False
-    if not same_geometry(Geometry(series.info.shape_zyx, series.lps_from_ijk), volume):
+    return same_geometry(Geometry(series.info.shape_zyx, series.lps_from_ijk), volume)
+
+
+def _is_volume(series: FoundSeries, volume: Volume, watch: Watch) -> bool:
+    if not _has_geometry(series, volume):
         return False
     clipping = Clipping()
     for k in np.unique(np.linspace(0, len(series.slices) - 1, _LOOKED_AT).astype(int)):

@@ -279,13 +279,13 @@ def _segment(number: int, part: _Part) -> Dataset:
 def _add_references(data: Dataset, images: CtImages, used: Sequence[int]) -> None:
     series = Dataset()
     series.SeriesInstanceUID = images.series_uid
-    series.ReferencedInstanceSequence = Items(_instance_reference(images, k) for k in used)
+    series.ReferencedInstanceSequence = Items(_instance_reference(images, uid) for uid in images.instance_uids(used))
     data.ReferencedSeriesSequence = Items([series])
 
 
-def _instance_reference(images: CtImages, k: int) -> Dataset:
+def _instance_reference(images: CtImages, uid: str) -> Dataset:
     item = Dataset()
-    item.ReferencedSOPClassUID, item.ReferencedSOPInstanceUID = images.image_class, images.slices[k].sop_uid
+    item.ReferencedSOPClassUID, item.ReferencedSOPInstanceUID = images.image_class, uid
     return item
 
 
@@ -327,7 +327,7 @@ def _frame_groups(images: CtImages, number: int, k: int, place: int) -> Dataset:
     content.DimensionIndexValues = [number, place]
     position.ImagePositionPatient = decimals(images.slices[k].position_lps)
     segment.ReferencedSegmentNumber = number
-    source: Any = _instance_reference(images, k)
+    source: Any = images.reference(k)
     source.PurposeOfReferenceCodeSequence = Items(
         [code_item("121322", "DCM", "Source image for image processing operation")]
     )

@@ -222,7 +222,7 @@ def _evidence_sequence(images: CtImages, used: Sequence[int], segments: _Segment
 
     of_ct = Dataset()
     of_ct.SeriesInstanceUID = images.series_uid
-    of_ct.ReferencedSOPSequence = Items(instance(images.image_class, images.slices[k].sop_uid) for k in used)
+    of_ct.ReferencedSOPSequence = Items(instance(images.image_class, uid) for uid in images.instance_uids(used))
     series = [of_ct]
     if segments is not None:
         of_segments = Dataset()
@@ -298,11 +298,9 @@ def _number_item(concept: _Concept, value: float, unit: _Concept) -> Dataset:
 
 
 def _image_item(images: CtImages, k: int) -> Dataset:
-    referred = Dataset()
-    referred.ReferencedSOPClassUID, referred.ReferencedSOPInstanceUID = images.image_class, images.slices[k].sop_uid
     item = Dataset()
     item.RelationshipType, item.ValueType = "CONTAINS", "IMAGE"
-    item.ReferencedSOPSequence = Items([referred])
+    item.ReferencedSOPSequence = Items([images.reference(k)])
     return item
 
 

@@ -36,7 +36,8 @@ class RendererFactory(Protocol):
 class Parts:
     """Processing functions of a session; the public functions of the same names define their contracts."""
 
-    open_volume: Callable[[str, Progress, Cancel], Volume]
+    open_volume: Callable[..., Volume]
+    """Opens a CT: ``open_volume(path, progress, cancel)``, for one of several DICOM series with ``series=``."""
     open_demo: Callable[[str, Progress, Cancel], Volume]
     quality_words: Callable[[Volume], tuple[str, ...]]
     find_airways: Callable[..., Airways]
@@ -96,8 +97,8 @@ class Parts:
 def default_parts() -> Parts:
     """Return Carina's own processing functions, which a session uses unless a test replaces them."""
 
-    def open_volume(path: str, progress: Progress, cancel: Cancel) -> Volume:
-        return volume.open_volume(path, progress=progress, cancel=cancel)
+    def open_volume(path: str, progress: Progress, cancel: Cancel, series: str | None = None) -> Volume:
+        return volume.open_volume(path, series=series, progress=progress, cancel=cancel)
 
     def open_demo(name: str, progress: Progress, cancel: Cancel) -> Volume:
         if name == "phantom":

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+import math
 import re
 from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -19,13 +21,15 @@ from carina.volume.dicom_checks import (
     refuse_contradicting_rescale,
 )
 from carina.volume.dicom_files import FolderContent, LostFiles, UnusedFile, name_files
-from carina.volume.dicom_geometry import grid_from_slices
+from carina.volume.dicom_geometry import SliceStack, grid_from_slices
 from carina.volume.dicom_headers import SETTINGS, SliceHeader, acquisition_date
+from carina.volume.dicom_pixel_bytes import release_pixel_data
 from carina.volume.dicom_pixels import Doubt, decode_slice, is_compressed
 from carina.volume.dicom_series import Group, count_patients, group_slices, without_copies
 from carina.volume.hu import HU_TYPES, MAX_DOUBTFUL_SHARE, HuVerdict, clipped_note, judge_dicom
 from carina.volume.jpeg2000_check import not_checked_note, second_decoder
 from carina.volume.message_limits import bounded_list, bounded_message, bounded_name
+from carina.volume.missing_slices import fill_between
 from carina.volume.model import Note, SeriesInfo, Volume, VolumeSource
 from carina.volume.padding import PaddingCount
 from carina.volume.progress import Watch
@@ -36,6 +40,14 @@ _CHEST = re.compile(r"chest|thora|lung|pulmo|bronch", re.IGNORECASE)
 _UID = re.compile(r"[\w.-]*\d+(?:\.\d+){4,}[\w.-]*")
 _DERIVED = re.compile(r"\b(mip|minip|mpr|projection image|screen save|average|subtract\w*)\b")
 _MAX_SERIES_NAMED = 4  # largest number of series that one message names
+_MAX_DATES = 100  # largest number of series of a folder whose dates are read
+_PHASES = {
+    "NominalPercentageOfRespiratoryPhase": "breathing {} %",
+    "NominalPercentageOfCardiacPhase": "heart {} %",
+    "TemporalPositionIndex": "time {}",
+    "TemporalPositionIdentifier": "time {}",
+    "TemporalPositionTimeOffset": "time {} s",
+}
 _IMAGE_TYPE = list(SETTINGS).index("ImageType")
 _ELSEWHERE = re.compile(r"head|brain|skull|neuro|sinus|abdom|pelvi|spine|knee|foot|hand|leg\b|hip\b", re.IGNORECASE)
 
@@ -46,7 +58,8 @@ class FoundSeries:
 
     info: SeriesInfo
     slices: tuple[SliceHeader, ...]
-    lps_from_ijk: NDArray[np.float64] | None = None
+    stack: SliceStack | None = None
+    """Slices in order and the grid of their volume; None if the series is refused."""
     refusal: VolumeImportError | None = None
     score: float = 0.0
     """Number of slices times covered height in mm, weighted by header texts (body part, description, image type).
@@ -57,6 +70,11 @@ class FoundSeries:
     """Notes about the files of the series."""
     missing: tuple[UnusedFile, ...] = ()
     """Files that look like a part of the series and could not be used."""
+
+    @property
+    def lps_from_ijk(self) -> NDArray[np.float64] | None:
+        """Transform (4x4) from voxel centres to LPS mm; None if the series is refused."""
+        return None if self.stack is None else self.stack.lps_from_ijk
 
     @property
     def name(self) -> str:
@@ -78,7 +96,7 @@ def _name(info: SeriesInfo) -> str:
     return f"series {info.key}{text}"
 
 
-def _grid(group: Group, what: str) -> tuple[list[SliceHeader], NDArray[np.float64]]:
+def _grid(group: Group, what: str) -> SliceStack:
     """Return the sorted slices of a group and their grid, after checks of all headers."""
     slices = group.slices
     bad = [header for header in slices if header.problem is not None]
@@ -86,25 +104,32 @@ def _grid(group: Group, what: str) -> tuple[list[SliceHeader], NDArray[np.float6
         first = bad[0]
         count = f" ({len(bad)} of {len(slices)} images are affected)" if len(bad) > 1 else ""
         msg = (
-            f"{what}: {first.path.name} cannot be used: {first.problem}{count}; export the series again, or choose "
+            f"{what}: {first.file_name} cannot be used: {first.problem}{count}; export the series again, or choose "
             "another one"
         )
         raise VolumeImportError(msg, code=first.problem_code)
     if len(slices) * slices[0].rows * slices[0].columns > MAX_VOXELS:
-        msg = (
-            f"{what}: its {len(slices)} slices have more than {MAX_VOXELS} voxels; expected one chest CT; choose "
-            "another series"
-        )
-        raise VolumeImportError(msg, code="import.too-large")
+        raise _too_large(what, len(slices))
     try:
-        found = grid_from_slices(slices, what=what)
+        # Slices on other grids that were separated from this series may be the missing ones.
+        found = grid_from_slices(slices, what=what, fills_gaps=not group.mixed_with)
     except VolumeImportError:
         # Slices on other grids were separated from this series; the error of the undivided series states this cause.
         if group.mixed_with:
             grid_from_slices(group.mixed_with, what=what)
         raise
-    check_rescale_tags(found[0], what)
+    check_rescale_tags(found.slices, what)
+    if math.prod(found.shape_zyx) > MAX_VOXELS:
+        raise _too_large(what, found.shape_zyx[0])
     return found
+
+
+def _too_large(what: str, num_slices: int) -> VolumeImportError:
+    msg = (
+        f"{what}: its {num_slices} slices have more than {MAX_VOXELS} voxels; expected one chest CT; choose another "
+        "series"
+    )
+    return VolumeImportError(msg, code="import.too-large")
 
 
 def _score(slices: Sequence[SliceHeader], coverage_mm: float) -> float:
@@ -161,20 +186,61 @@ def find_series(content: FolderContent, watch: Watch) -> list[FoundSeries]:
             description=", ".join(filter(None, (description, group.label))),
             num_slices=len(slices),
         )
+        info = replace(
+            info,
+            thickness_mm=_common_thickness_mm(slices),
+            kernel=_common_setting(slices, "ConvolutionKernel"),
+            phase=_phase(slices),
+            # A folder of very many series is a damaged copy or no patient's scan; the dates would take long.
+            acquired_on=acquisition_date(first.path) if len(groups) <= _MAX_DATES else None,
+        )
         missing = lost.files_like(slices)
         notes = (*common, *group.notes, *_notes_of_files(slices, missing, copies))
         series = FoundSeries(info, slices, notes=notes, missing=tuple(missing))
         try:
-            ordered, lps_from_ijk = _grid(group, f"reading {_name(info)}")
-            shape = (len(ordered), first.rows, first.columns)
+            stack = _grid(group, f"reading {_name(info)}")
             series = replace(
-                series, info=replace(info, shape_zyx=shape), slices=tuple(ordered), lps_from_ijk=lps_from_ijk
+                series,
+                info=replace(
+                    info,
+                    shape_zyx=stack.shape_zyx,
+                    height_mm=round(float(np.linalg.norm(stack.lps_from_ijk[:3, 2])) * (stack.shape_zyx[0] - 1), 2),
+                    slice_distance_mm=round(float(np.linalg.norm(stack.lps_from_ijk[:3, 2])), 4),
+                ),
+                slices=stack.slices,
+                stack=stack,
+                notes=(*notes, *stack.notes),
             )
         except VolumeImportError as error:
             refusal = _with_unused_files(error, missing)
             series = replace(series, info=replace(info, refused=_UID.sub("(file name)", str(refusal))), refusal=refusal)
         found.append(replace(series, score=_score(slices, series.coverage_mm)))
     return sorted(found, key=lambda item: (-item.score, item.info.key))
+
+
+def _common_setting(slices: Sequence[SliceHeader], keyword: str) -> str:
+    """Return the value of a setting that all slices have; empty without one common value."""
+    at = list(SETTINGS).index(keyword)
+    found = {header.settings[at] for header in slices}
+    text = found.pop() if len(found) == 1 else ""
+    return "".join(c for c in text if c.isprintable())[:32]
+
+
+def _phase(slices: Sequence[SliceHeader]) -> str:
+    """Return the phase or time point of all slices; empty without one."""
+    found = ((words, _common_setting(slices, keyword)) for keyword, words in _PHASES.items())
+    return next((words.format(value) for words, value in found if value), "")
+
+
+def _reason(series: FoundSeries) -> str:
+    """Return why a series is the likeliest chest CT of its folder, from the facts of its score."""
+    info = series.info
+    if info.height_mm is None or info.slice_distance_mm is None:
+        return ""
+    named = (
+        ", named as a chest" if _CHEST.search(f"{series.slices[0].body_part} {series.slices[0].description}") else ""
+    )
+    return f" (the likeliest chest CT: {info.height_mm:.0f} mm in slices {info.slice_distance_mm:.3g} mm apart{named})"
 
 
 def _notes_of_folder(headers: Sequence[SliceHeader]) -> tuple[Note, ...]:
@@ -196,7 +262,7 @@ def _notes_of_files(
         names = name_files([(file.path, file.reason) for file in missing])
         words = f"{len(missing)} {verb} of this series but could not be used: {names}; the scan may be incomplete"
         notes.append(Note("import.files-unread", words, badge=True))
-    mine = [copy for h in slices for copy in copies.get((h.sop_uid, h.series_uid, h.position_lps), ())]
+    mine = [copy for h in slices for copy in copies.get(h.image_key, ())]
     if mine:
         names = name_files([(copy.path, "") for copy in mine])
         words = f"{len(mine)} slices have exact duplicates, which were ignored ({names})"
@@ -282,8 +348,8 @@ def choose_series(found: Sequence[FoundSeries], *, key: str | None, where: str) 
     others = [item.info for item in found if item is not chosen]
     if others:
         words = (
-            f"the folder contains several series; opened: {chosen.name}, {chosen.info.num_slices} slices; not opened: "
-            f"{describe_series(others)}"
+            f"the folder contains several series; opened: {chosen.name}, {chosen.info.num_slices} slices"
+            f"{_reason(chosen)}; not opened: {describe_series(others)}"
         )
         notes.append(Note("import.several-series", bounded_message(words)))
     return chosen, (*notes, *chosen.notes)
@@ -310,7 +376,8 @@ def open_series(series: FoundSeries, *, others: Sequence[SeriesInfo], notes: tup
     CancelledError
         If the user cancels; at most one slice is read after that.
     """
-    if series.lps_from_ijk is None or series.info.shape_zyx is None:
+    stack = series.stack
+    if stack is None:
         raise series.refusal or VolumeImportError(f"reading {series.name}: it has no voxel grid")
     first = series.slices[0]
     all_notes = list(notes)
@@ -319,7 +386,10 @@ def open_series(series: FoundSeries, *, others: Sequence[SeriesInfo], notes: tup
     doubts: list[tuple[SliceHeader, Doubt]] = []
     with second_decoder() as check:
         check.submit(series.slices)
-        values = _read_slices(series, clipping, padding, doubts, watch)
+        try:
+            values = _read_slices(series, clipping, padding, doubts, watch)
+        finally:
+            release_pixel_data()
         for index, (header, problem) in enumerate(check.problems()):
             watch.step("Checking the compressed slices", index / len(check))
             if problem is not None:
@@ -341,8 +411,10 @@ def open_series(series: FoundSeries, *, others: Sequence[SeriesInfo], notes: tup
             "import.slices-odd", ("a slice differs from both its neighbours far more than they differ from each other")
         )
         compressed = any(is_compressed(header) for header in series.slices)
-        slice_mm = float(np.linalg.norm(series.lps_from_ijk[:3, 2]))
-        doubts.extend((series.slices[at], odd) for at in odd_slices(values, compressed=compressed, slice_mm=slice_mm))
+        slice_mm = float(np.linalg.norm(stack.lps_from_ijk[:3, 2]))
+        at_level = dict(zip(stack.levels, stack.slices, strict=True))
+        found = odd_slices(values, compressed=compressed, slice_mm=slice_mm)
+        doubts.extend((at_level[level], odd) for level in found if level in at_level)
     in_doubt = doubt_notes(doubts, len(series.slices))
     verdict = judge_dicom(
         values,
@@ -367,9 +439,11 @@ def open_series(series: FoundSeries, *, others: Sequence[SeriesInfo], notes: tup
         notes=tuple(all_notes),
         acquired_on=acquisition_date(first.path),
         slice_thickness_mm=_common_thickness_mm(series.slices),
+        interpolated_slices=stack.missing,
+        tilt_deg=None if stack.tilt is None else round(stack.tilt.tilt_deg, 2),
     )
     watch.step("Reading the slices", 1.0)
-    return Volume(values, series.lps_from_ijk, is_hu=verdict.is_hu, not_hu_reason=verdict.reason, source=source)
+    return Volume(values, stack.lps_from_ijk, is_hu=verdict.is_hu, not_hu_reason=verdict.reason, source=source)
 
 
 def _common_thickness_mm(slices: Sequence[SliceHeader]) -> float | None:
@@ -385,12 +459,13 @@ def _read_slices(
     doubts: list[tuple[SliceHeader, Doubt]],
     watch: Watch,
 ) -> NDArray[np.int16]:
-    """Return the decoded slices; count clipped and padded voxels, and collect doubts."""
-    assert series.info.shape_zyx is not None
+    """Return the decoded slices on the grid of the stack; count clipped and padded voxels, and collect doubts."""
+    stack = series.stack
+    assert stack is not None
     values: NDArray[np.int16] | None = None
     before: tuple[SliceHeader, NDArray[Any]] | None = None
-    for index, header in enumerate(series.slices):
-        watch.step("Reading the slices", index / len(series.slices))
+    for index, (header, level) in enumerate(zip(stack.slices, stack.levels, strict=True)):
+        watch.step("Reading the slices", index / len(stack.slices))
         pixels = decode_slice(header)
         numbers: NDArray[Any] = pixels.numbers
         doubts.extend((header, doubt) for doubt in pixels.doubts)
@@ -401,11 +476,16 @@ def _read_slices(
         before = header, numbers
         # Allocated after the first slice, so that an unreadable one does not cost the memory of the volume.
         if values is None:
-            values = np.empty(series.info.shape_zyx, dtype=np.int16)
+            values = np.empty(stack.shape_zyx, dtype=np.int16)
         if numbers.dtype.kind == "f":
             numbers = np.rint(numbers)
-        values[index] = clipping.clip(header, numbers)
+        numbers = clipping.clip(header, numbers)
+        values[level] = numbers if stack.tilt is None else stack.tilt.correct(numbers.astype(np.int16), index)
     assert values is not None  # a grid has at least two slices
+    if stack.tilt is not None:
+        stack.tilt.fill_beyond(values, stack.levels, (stack.slices[0].rows, stack.slices[0].columns))
+    for low, high in itertools.pairwise(stack.levels):
+        fill_between(values, low, high)
     return values
 
 

@@ -54,7 +54,7 @@ def check_rescale_tags(slices: Sequence[SliceHeader], what: str) -> None:
 
 def _file_names(slices: Sequence[SliceHeader]) -> str:
     """Return the complete file names of slices as one text for an error message."""
-    shown = ", ".join(sorted(bounded_name(header.path.name) for header in slices)[:6])
+    shown = ", ".join(sorted(bounded_name(header.file_name) for header in slices)[:6])
     return shown + (f" and {len(slices) - 6} more" if len(slices) > 6 else "")
 
 
@@ -95,8 +95,8 @@ def refuse_contradicting_rescale(
     differences, joined = (float(np.median(np.abs(values - there))) for values in (here, as_there))
     if differences > 100 and joined < 0.25 * differences:
         msg = (
-            f"{what}: the rescale tags of neighbouring slices contradict their pixels: {other.path.name} has slope "
-            f"{other.slope:g} and intercept {other.intercept:g}, {header.path.name} has slope {header.slope:g} and "
+            f"{what}: the rescale tags of neighbouring slices contradict their pixels: {other.file_name} has slope "
+            f"{other.slope:g} and intercept {other.intercept:g}, {header.file_name} has slope {header.slope:g} and "
             f"intercept {header.intercept:g}, and rescaled with these tags their pixels differ by {differences:.0f} HU "
             f"(by {joined:.0f} HU if both have the tags of one); expected the scanner's rescale tags in every slice; "
             "export the series again from its original archive"
@@ -200,7 +200,7 @@ def doubt_notes(doubts: Sequence[tuple[SliceHeader, Doubt]], num_slices: int) ->
         mine = [(header, doubt) for header, doubt in doubts if doubt.code == code]
         words = Counter(doubt.words for _, doubt in mine).most_common(1)[0][0]
         files = name_files([(path, "") for path in dict.fromkeys(header.path for header, _ in mine)])
-        count = len({header.path for header, _ in mine})
+        count = len({(header.path, header.frame) for header, _ in mine})
         notes.append(
             Note(code, f"{words} ({count} of {num_slices} slices: {files}); the values there may be wrong", badge=True)
         )

@@ -18,7 +18,7 @@ from pydicom.dataset import Dataset
 
 from carina.disk import special_kind
 from carina.errors import VolumeImportError
-from carina.volume.dicom_headers import SliceHeader, read_header
+from carina.volume.dicom_headers import SliceHeader, read_image_headers
 from carina.volume.dicom_signature import starts_like_dicom
 from carina.volume.message_limits import bounded_name
 from carina.volume.progress import Watch
@@ -31,7 +31,7 @@ _MAX_SAID = 100
 _UID_NAME = re.compile(r"[\w.-]*\d+(?:\.\d+){4,}[\w.-]*")
 _RUNS = re.compile(r"[0-9A-Fa-f]{8,}|\d+")
 _IMAGE_CLASSES = tuple(
-    f"1.2.840.10008.5.1.4.1.1.{kind}" for kind in ("2", "2.1", "2.2", "4", "4.1", "7", "20", "128", "130")
+    f"1.2.840.10008.5.1.4.1.1.{kind}" for kind in ("2", "2.1", "2.2", "4", "4.1", "4.4", "7", "20", "128", "130")
 )
 _SCAN_MODALITIES = ("CT", "MR", "PT", "NM")
 # First bytes of documents and archives; such a file counts as lost only if it is named like a slice.
@@ -106,8 +106,11 @@ def _holds_no_scan(dataset: Dataset) -> bool:
     return str(dataset.get("Modality") or "CT") not in _SCAN_MODALITIES
 
 
-def _read(path: Path) -> SliceHeader | UnusedFile | None:
-    """Return the header of a slice, the reason why a file is unusable, or None for a DICOM file without a slice."""
+def _read(path: Path) -> list[SliceHeader] | UnusedFile:
+    """Return the headers of a file's images, or the reason why a file is unusable.
+
+    The list is empty for a DICOM file without an image.
+    """
     if special_kind(path) is not None:
         return UnusedFile(path, "not a file", 0, is_dicom=False)
     try:
@@ -123,12 +126,12 @@ def _read(path: Path) -> SliceHeader | UnusedFile | None:
         reason = "empty" if not head else "not DICOM"
         return UnusedFile(path, reason, _size(path), is_dicom=False, known=head.startswith(_KNOWN_STARTS))
     try:
-        header, dataset = read_header(path)
-        if header is not None or _holds_no_scan(dataset):
-            return header
+        headers, dataset = read_image_headers(path)
+        if headers or _holds_no_scan(dataset):
+            return headers
         uid = str(dataset.get("SeriesInstanceUID") or "")
     except Exception:
-        # ``read_header`` raises ValueError, and pydicom raises various errors for a damaged value.
+        # ``read_image_headers`` raises ValueError, and pydicom raises various errors for a damaged value.
         return UnusedFile(path, "damaged DICOM file", _size(path), is_dicom=True)
     return UnusedFile(path, "truncated header", _size(path), is_dicom=True, series_uid=uid)
 
@@ -158,10 +161,10 @@ def read_folder(folder: Path, *, recursive: bool, watch: Watch) -> FolderContent
     for index, path in enumerate(paths):
         watch.step("Reading the headers", index / len(paths))
         found = _read(path)
-        if isinstance(found, SliceHeader):
-            headers.append(found)
-        elif found is not None:
+        if isinstance(found, UnusedFile):
             unused.append(found)
+        else:
+            headers.extend(found)
     return FolderContent(tuple(headers), tuple(unused))
 
 
@@ -240,7 +243,11 @@ def shown_name(path: Path) -> str:
 
 
 def name_files(files: Sequence[tuple[Path, str]], *, at_most: int = 4) -> str:
-    """Return the names of the first few files with a reason each: "IM012 (empty), IM013 (not DICOM) and 7 more"."""
+    """Return the names of the first few files with a reason each: "IM012 (empty), IM013 (not DICOM) and 7 more".
+
+    A file with several frames is named once.
+    """
+    files = list(dict.fromkeys(files))
     shown = [f"{shown_name(path)} ({word})" if word else shown_name(path) for path, word in files[:at_most]]
     more = len(files) - len(shown)
     return ", ".join(shown) + (f" and {more} more" if more > 0 else "")

@@ -1,4 +1,7 @@
-"""Grid of a DICOM series from the tags of every slice; a series without a regular, rectangular grid is refused.
+"""Grid of a DICOM series from the tags of every slice.
+
+A series without a regular, rectangular grid is refused, unless its slices can be put on such a grid with certainty: a
+tilted gantry (``tilt_correction``) and a few missing slices (``missing_slices``) are corrected, with a badge.
 
 The third axis is the offset from slice to slice according to ImagePositionPatient (PS3.3 C.7.6.2.1.1). SliceThickness
 is not used: it is the thickness of tissue that one slice averages, and overlapping slices or gaps are common.
@@ -9,7 +12,7 @@ Tolerances (each tested on both sides):
   is always allowed, because some scanners round positions to 0.1 mm;
 - across the normal, a slice may deviate by 0.1 mm or a tenth of a pixel, whichever is more;
 - the stack may be sheared by 0.2 degrees, or by 0.1 mm over its whole height, whichever is more (tilts near zero occur
-  and are harmless; ``lps_from_ijk`` contains the shear, so that no voxel is displaced);
+  and are harmless; ``lps_from_ijk`` contains the shear, so that no voxel is displaced); a larger shear is a tilt;
 - directions and pixel spacings of all slices must agree so that the far corner of the image moves by less than 0.1 mm.
 """
 
@@ -17,6 +20,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,8 +28,51 @@ from numpy.typing import NDArray
 from carina.errors import VolumeImportError
 from carina.volume.axis_angles import MAX_LEAN_MM, MAX_SKEW_DEG
 from carina.volume.dicom_headers import SliceHeader
+from carina.volume.missing_slices import fillable_levels, interpolated_note, missing_levels
+from carina.volume.model import Note
+from carina.volume.tilt_correction import MAX_TILT_DEG, TiltShifts
 
 MAX_CORNER_SHIFT_MM = 0.1
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SliceStack:
+    """The slices of a series in order, with the grid of the volume that is made of them."""
+
+    slices: tuple[SliceHeader, ...]
+    """Slices sorted by position along (row x column)."""
+    lps_from_ijk: NDArray[np.float64]
+    """Transform (4x4) from voxel centres of the volume to LPS mm."""
+    shape_zyx: tuple[int, int, int]
+    """Shape of the volume."""
+    levels: tuple[int, ...]
+    """Index of each slice in the volume."""
+    tilt: TiltShifts | None = None
+    """Correction of the gantry tilt; None for a rectangular stack."""
+
+    @property
+    def missing(self) -> tuple[int, ...]:
+        """Indices in the volume of interpolated slices."""
+        return missing_levels(self.levels)
+
+    @property
+    def is_corrected(self) -> bool:
+        """Whether voxels of the volume are not pixels of the slices."""
+        return self.tilt is not None or len(self.levels) < self.shape_zyx[0]
+
+    @property
+    def notes(self) -> tuple[Note, ...]:
+        """Badges that name the corrections."""
+        notes = []
+        if self.tilt is not None:
+            words = (
+                f"the gantry was tilted by {self.tilt.tilt_deg:.1f} degrees; the slices were moved within their planes "
+                "and interpolated to a rectangular grid, so the voxels are not the pixels of the scanner"
+            )
+            notes.append(Note("import.tilt-corrected", words, badge=True))
+        if self.missing:
+            notes.append(interpolated_note(self.missing, self.shape_zyx[0]))
+        return tuple(notes)
 
 
 def _refuse(what: str, problem: str, way_out: str, code: str) -> VolumeImportError:
@@ -41,14 +88,14 @@ def _check_alike(slices: Sequence[SliceHeader], what: str) -> None:
         if (header.rows, header.columns) != (first.rows, first.columns):
             problem = (
                 f"its slices have mixed sizes: expected {first.columns} x {first.rows} pixels as in "
-                f"{first.path.name}, found {header.columns} x {header.rows} in {header.path.name}"
+                f"{first.file_name}, found {header.columns} x {header.rows} in {header.file_name}"
             )
             raise _refuse(what, problem, way_out, "import.geometry.mixed")
         turn = max(math.dist(header.row_lps, first.row_lps), math.dist(header.column_lps, first.column_lps))
         if turn * extent_mm > MAX_CORNER_SHIFT_MM:
             problem = (
-                f"its slices have mixed orientations: {header.path.name} is rotated by {math.degrees(turn):.2f} "
-                f"degrees relative to {first.path.name}"
+                f"its slices have mixed orientations: {header.file_name} is rotated by {math.degrees(turn):.2f} "
+                f"degrees relative to {first.file_name}"
             )
             raise _refuse(what, problem, way_out, "import.geometry.mixed")
         stretch_mm = max(
@@ -58,14 +105,19 @@ def _check_alike(slices: Sequence[SliceHeader], what: str) -> None:
         if stretch_mm > MAX_CORNER_SHIFT_MM:
             problem = (
                 f"its slices have mixed pixel spacing: expected {first.spacing_mm[0]:g} x {first.spacing_mm[1]:g} "
-                f"mm as in {first.path.name}, found {header.spacing_mm[0]:g} x {header.spacing_mm[1]:g} mm in "
-                f"{header.path.name}"
+                f"mm as in {first.file_name}, found {header.spacing_mm[0]:g} x {header.spacing_mm[1]:g} mm in "
+                f"{header.file_name}"
             )
             raise _refuse(what, problem, way_out, "import.geometry.mixed")
 
 
-def _check_spacing(along_mm: NDArray[np.float64], ordered: Sequence[SliceHeader], what: str) -> None:
-    """Raise an error if two slices have one position, or if the distances of neighbouring slices are irregular."""
+def _levels(
+    along_mm: NDArray[np.float64], ordered: Sequence[SliceHeader], what: str, *, fills_gaps: bool
+) -> NDArray[np.int64]:
+    """Return the index of each slice in the volume; a number that no slice has is that of a missing slice.
+
+    Raises an error if two slices have one position, or if the distances of neighbouring slices are irregular.
+    """
     count = len(ordered)
     gaps = np.diff(along_mm)
     # The median is the intended distance; one missing or duplicate slice does not change it.
@@ -75,13 +127,18 @@ def _check_spacing(along_mm: NDArray[np.float64], ordered: Sequence[SliceHeader]
         at = int(doubled[0])
         problem = (
             f"{doubled.size + 1 if doubled.size == count - 1 else doubled.size} of its {count} slices lie at the "
-            f"position of another slice, first {ordered[at].path.name} and {ordered[at + 1].path.name}; expected one "
+            f"position of another slice, first {ordered[at].file_name} and {ordered[at + 1].file_name}; expected one "
             "slice at each position; the folder may contain the series twice, or several phases of one scan"
         )
         raise _refuse(what, problem, "keep one slice for each position", "import.geometry.duplicate")
     tolerance = min(max(0.1 * expected, 0.06), 0.3)
     wrong = np.flatnonzero(np.abs(gaps - expected) > 2 * tolerance)
+    levels: NDArray[np.int64] | None = np.arange(count)
     if wrong.size:
+        levels, limit = fillable_levels(gaps, expected, 2 * tolerance)
+        if not fills_gaps:
+            levels = None
+    if levels is None:
         at = int(wrong[0])
         more = f" (and at {wrong.size - 1} more places)" if wrong.size > 1 else ""
         missing = round(float(gaps[at]) / expected) - 1
@@ -92,23 +149,24 @@ def _check_spacing(along_mm: NDArray[np.float64], ordered: Sequence[SliceHeader]
         )
         problem = (
             f"slice spacing is irregular: expected {expected:.2f} mm, found {gaps[at]:.2f} mm after slice {at + 1} of "
-            f"{count} ({ordered[at].path.name}){more}{cause}"
+            f"{count} ({ordered[at].file_name}){more}{cause}{f' ({limit})' if limit else ''}"
         )
         raise _refuse(
             what, problem, ("copy the whole series again, or choose another series"), "import.geometry.irregular"
         )
-    regular = along_mm[0] + np.arange(count) * (along_mm[-1] - along_mm[0]) / (count - 1)
+    regular = along_mm[0] + levels * (along_mm[-1] - along_mm[0]) / levels[-1]
     off = np.abs(along_mm - regular)
     if float(off.max()) > tolerance:
         at = int(off.argmax())
         problem = (
-            f"slice spacing is irregular: slice {at + 1} of {count} ({ordered[at].path.name}) lies {off[at]:.2f} "
+            f"slice spacing is irregular: slice {at + 1} of {count} ({ordered[at].file_name}) lies {off[at]:.2f} "
             f"mm off the regular {expected:.2f} mm grid; expected at most {tolerance:.2f} mm"
         )
         raise _refuse(what, problem, "choose another series", "import.geometry.irregular")
+    return levels
 
 
-def grid_from_slices(slices: Sequence[SliceHeader], *, what: str) -> tuple[list[SliceHeader], NDArray[np.float64]]:
+def grid_from_slices(slices: Sequence[SliceHeader], *, what: str, fills_gaps: bool = True) -> SliceStack:
     """Sort the slices of one series along their normal and compute their grid.
 
     Parameters
@@ -117,11 +175,13 @@ def grid_from_slices(slices: Sequence[SliceHeader], *, what: str) -> tuple[list[
         In any order; none has a ``problem``.
     what
         Beginning of error messages, such as "reading series 3 (Thorax)".
+    fills_gaps
+        Whether a few missing slices may be interpolated.
 
     Returns
     -------
-    ordered, lps_from_ijk
-        The slices sorted by position along (row x column), and the 4x4 transform from voxel centres to LPS mm.
+    SliceStack
+        The sorted slices, the grid of the volume and its corrections.
 
     Raises
     ------
@@ -129,7 +189,7 @@ def grid_from_slices(slices: Sequence[SliceHeader], *, what: str) -> tuple[list[
         ``import.single-slice``, ``import.geometry.mixed``, ``.duplicate``, ``.irregular``, ``.shifted`` or ``.tilt``.
     """
     if len(slices) < 2:
-        problem = f"it contains only one image ({slices[0].path.name}); expected a stack of slices"
+        problem = f"it contains only one image ({slices[0].file_name}); expected a stack of slices"
         raise _refuse(what, problem, "choose the folder of the whole scan", "import.single-slice")
     _check_alike(slices, what)
     first = slices[0]
@@ -138,31 +198,34 @@ def grid_from_slices(slices: Sequence[SliceHeader], *, what: str) -> tuple[list[
     # The directions are unit vectors, perpendicular within MAX_SKEW_DEG; the grid uses them unchanged.
     normal = np.cross(row, column)
     normal /= np.linalg.norm(normal)
-    ordered = sorted(slices, key=lambda header: (float(normal @ np.array(header.position_lps)), str(header.path)))
+    ordered = sorted(
+        slices, key=lambda header: (float(normal @ np.array(header.position_lps)), str(header.path), header.frame or 0)
+    )
     positions = np.array([header.position_lps for header in ordered])
     along = positions @ normal
-    _check_spacing(along, ordered, what)
+    levels = _levels(along, ordered, what, fills_gaps=fills_gaps)
 
-    step = (positions[-1] - positions[0]) / (len(ordered) - 1)
+    step = (positions[-1] - positions[0]) / levels[-1]
     height = float(along[-1] - along[0])
     lean = positions[-1] - positions[0] - height * normal
     lean_mm = float(np.linalg.norm(lean))
     tilt_deg = math.degrees(math.atan2(lean_mm, height))
-    if tilt_deg > MAX_SKEW_DEG and lean_mm > MAX_LEAN_MM:
+    is_tilted = tilt_deg > MAX_SKEW_DEG and lean_mm > MAX_LEAN_MM
+    if is_tilted and tilt_deg > MAX_TILT_DEG:
         problem = (
-            f"its slices are sheared by {tilt_deg:.1f} degrees (gantry tilt), a shift of {lean_mm:.1f} mm from the "
-            "first to the last; expected a stack at right angles to its slices"
+            f"its slices are sheared by {tilt_deg:.1f} degrees, a shift of {lean_mm:.1f} mm from the first to the "
+            f"last; expected a gantry tilt of at most {MAX_TILT_DEG:g} degrees"
         )
         way_out = "export the series with the tilt corrected, or choose another one"
         raise _refuse(what, problem, way_out, "import.geometry.tilt")
-    line = positions[0] + np.arange(len(ordered))[:, None] * step
+    line = positions[0] + levels[:, None] * step
     across = positions - line
     across = np.linalg.norm(across - np.outer(across @ normal, normal), axis=1)
     allowed = max(MAX_CORNER_SHIFT_MM, 0.1 * min(first.spacing_mm))
     if float(across.max()) > allowed:
         at = int(across.argmax())
         problem = (
-            f"slice {at + 1} of {len(ordered)} ({ordered[at].path.name}) is shifted sideways by {across[at]:.2f} "
+            f"slice {at + 1} of {len(ordered)} ({ordered[at].file_name}) is shifted sideways by {across[at]:.2f} "
             f"mm; expected at most {allowed:.2f} mm"
         )
         raise _refuse(what, problem, "choose another series", "import.geometry.shifted")
@@ -172,4 +235,12 @@ def grid_from_slices(slices: Sequence[SliceHeader], *, what: str) -> tuple[list[
     lps_from_ijk[:3, 1] = column * first.spacing_mm[1]
     lps_from_ijk[:3, 2] = step
     lps_from_ijk[:3, 3] = positions[0]
-    return ordered, lps_from_ijk
+    shape_yx, tilt = (first.rows, first.columns), None
+    if is_tilted:
+        offsets_mm = (positions - positions[0]) @ np.stack([row, column], axis=1)
+        tilt = TiltShifts.of(tilt_deg, offsets_mm, first.spacing_mm, shape_yx)
+        shape_yx = tilt.shape_yx
+        lps_from_ijk[:3, 2] = normal * height / levels[-1]
+        lps_from_ijk[:3, 3] += lps_from_ijk[:3, :2] @ np.array(tilt.first_yx[::-1], dtype=np.float64)
+    shape_zyx = (int(levels[-1]) + 1, *shape_yx)
+    return SliceStack(tuple(ordered), lps_from_ijk, shape_zyx, tuple(levels.tolist()), tilt)

@@ -14,10 +14,10 @@ import math
 import re
 import warnings
 import zlib
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Hashable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import pydicom
 from pydicom.datadict import dictionary_VR
@@ -29,6 +29,7 @@ from pydicom.tag import BaseTag, Tag
 from carina.errors import CarinaError
 from carina.volume.axis_angles import MAX_SKEW_DEG
 from carina.volume.character_sets import settle_character_set
+from carina.volume.dicom_frames import described_frames, each_frame, is_enhanced
 from carina.volume.dicom_modality_lut import ModalityLut, read_modality_lut
 from carina.volume.padding import PaddingRange, padding_ranges
 
@@ -59,7 +60,10 @@ SETTINGS = {
     "FilterType": "filter",
     "TemporalPositionIdentifier": "temporal position",
     "TemporalPositionIndex": "temporal index",
+    "TemporalPositionTimeOffset": "time offset",
     "NominalPercentageOfCardiacPhase": "cardiac phase",
+    "NominalPercentageOfRespiratoryPhase": "respiratory phase",
+    "StackID": "stack",
     "EchoNumbers": "echo",
     "EchoTime": "echo time",
     "DiffusionBValue": "b-value",
@@ -76,7 +80,8 @@ _IDENTITY_TAGS, _SETTING_TAGS = ([Tag(keyword) for keyword in keywords] for keyw
 _TAGS = sorted({
     "BitsAllocated", "BitsStored", "BodyPartExamined", "Columns", "HighBit", "ImageOrientationPatient",
     "ImagePositionPatient", "LossyImageCompression", "NumberOfFrames", "PhotometricInterpretation",
-    "ModalityLUTSequence", "PixelPaddingRangeLimit", "PixelPaddingValue", "PixelRepresentation", "PixelSpacing",
+    "ConcatenationUID", "ModalityLUTSequence", "PerFrameFunctionalGroupsSequence", "PixelPaddingRangeLimit",
+    "PixelPaddingValue", "PixelRepresentation", "PixelSpacing",
     "ProtocolName", "RescaleIntercept", "RescaleSlope", "RescaleType", "Rows", "SOPClassUID", "SOPInstanceUID",
     "SamplesPerPixel", "SeriesInstanceUID", "SharedFunctionalGroupsSequence", "SliceThickness", *IDENTITY, *SETTINGS,
 })  # fmt: skip
@@ -91,7 +96,10 @@ MAX_THICKNESS_MM = 20.0
 
 @dataclass(frozen=True, slots=True)
 class SliceHeader:
-    """Header of one image file of a series; never logged, because it contains UIDs (omitted from the repr)."""
+    """Header of one image of a series: a file, or a frame of a multi-frame file.
+
+    The header is never logged, because it contains UIDs (omitted from the repr).
+    """
 
     path: Path
     series_uid: str = field(repr=False)
@@ -133,8 +141,24 @@ class SliceHeader:
     padding: tuple[PaddingRange, ...] = ()
     """Ranges of stored values that mark padding (PixelPaddingValue, PixelPaddingRangeLimit); empty without the tags."""
     modality_lut: ModalityLut | None = None
+    frame: int | None = None
+    """Index of the frame in a file with functional groups; None for a file with one classic image."""
+    num_frames: int = 1
+    """Number of frames in the file."""
+    image_uid: str = field(default="", repr=False)
+    """For a frame: UID of the image, which several files of one concatenation share; empty for a classic image."""
     problem: str | None = None
     problem_code: str = "import.tags"
+
+    @property
+    def file_name(self) -> str:
+        """Name of the file for messages, with the number of the frame in a multi-frame file."""
+        return self.path.name if self.frame is None else f"{self.path.name} (frame {self.frame + 1})"
+
+    @property
+    def image_key(self) -> Hashable:
+        """Identifier, series, frame and position of the image, which are equal for a file and its copies."""
+        return self.sop_uid, self.series_uid, self.frame, self.position_lps
 
     @property
     def has_rescale(self) -> bool:
@@ -200,7 +224,7 @@ def _read(path: Path, *, pixels: bool, tags: Sequence[Any] = _TAGS) -> tuple[Dat
                 dataset = pydicom.dcmread(file, force=True, stop_before_pixels=True, specific_tags=list(tags))
                 at = file.tell()
                 settle_character_set(dataset)
-                return dataset, at if file.read(4) in _PIXEL_TAGS else None
+                return dataset, at if file.read(4) in PIXEL_TAGS else None
     except Exception as error:
         # pydicom raises various errors for a damaged file; all have the same meaning here.
         msg = f"cannot be read as DICOM ({type(error).__name__})"
@@ -252,47 +276,8 @@ def acquisition_date(path: Path) -> str | None:
     return None
 
 
-def read_pixel_bytes(header: SliceHeader) -> bytes:
-    """Return the value of PixelData as stored in the file; empty if there is none.
-
-    The offset that the header's reader found is used if it is known, because parsing a file twice would take most of
-    the time.
-
-    Raises
-    ------
-    ValueError
-        If the file cannot be read as DICOM.
-    """
-    if header.pixels_at is None:
-        return _pixel_data(header.path)
-    with header.path.open("rb") as file:
-        file.seek(header.pixels_at)
-        head = file.read(12)
-        order: Literal["little", "big"] = "little" if head[:4] == _PIXEL_TAGS[0] else "big"
-        if header.transfer_syntax in _IMPLICIT:
-            start, length = 8, int.from_bytes(head[4:8], order)
-        elif head[4:6] in (b"OW", b"OB", b"UN"):
-            start, length = 12, int.from_bytes(head[8:12], order)
-        else:
-            return _pixel_data(header.path)
-        file.seek(header.pixels_at + start)
-        return file.read() if length == 0xFFFFFFFF else file.read(length)
-
-
-def _pixel_data(path: Path) -> bytes:
-    dataset = read_dataset(path, pixels=True)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        try:
-            value = dataset.get("PixelData")
-        except Exception as error:
-            msg = f"its pixel data cannot be read ({type(error).__name__})"
-            raise ValueError(msg) from None
-    return value if isinstance(value, bytes) else b""  # a damaged element may contain a number
-
-
-_PIXEL_TAGS = (b"\xe0\x7f\x10\x00", b"\x7f\xe0\x00\x10")
-_IMPLICIT = ("1.2.840.10008.1.2", "")
+PIXEL_TAGS = (b"\xe0\x7f\x10\x00", b"\x7f\xe0\x00\x10")
+"""The tag of PixelData in little-endian and big-endian order."""
 
 
 class _Tags:
@@ -422,8 +407,11 @@ def _unit(vector: tuple[float, ...]) -> tuple[float, float, float]:
     return (x / length, y / length, z / length) if length > 0 else (0.0, 0.0, 0.0)
 
 
-def read_header(path: Path) -> tuple[SliceHeader | None, Dataset]:
-    """Read the header of one file and its tags; the header is None for a file without an image, such as a report.
+def read_image_headers(path: Path) -> tuple[list[SliceHeader], Dataset]:
+    """Read the headers of the images of one file and its tags.
+
+    The list has one header for a slice, one for each frame of an enhanced file, and none for a file without an image,
+    such as a report. The data set has the tags of the last frame.
 
     Raises
     ------
@@ -434,15 +422,29 @@ def read_header(path: Path) -> tuple[SliceHeader | None, Dataset]:
     with warnings.catch_warnings():  # pydicom's warnings may quote content of the file
         warnings.simplefilter("ignore")
         try:
-            return _parse(path, dataset, pixels_at), dataset
+            if not is_enhanced(dataset):
+                header = _parse(path, dataset, pixels_at)
+                return ([] if header is None else [header]), dataset
+            return _parse_frames(path, dataset, pixels_at), dataset
         except Exception as error:
             # pydicom converts values at first use and raises various errors for damaged ones.
             msg = f"cannot be read as DICOM ({type(error).__name__})"
             raise ValueError(msg) from None
 
 
-def _parse(path: Path, dataset: Dataset, pixels_at: int | None) -> SliceHeader | None:
-    """Return the header of a slice, parsed from its tags; None for a file without an image."""
+def _parse_frames(path: Path, dataset: Dataset, pixels_at: int | None) -> list[SliceHeader]:
+    """Return the header of each frame of an enhanced file."""
+    stated, described = _Tags(dataset).whole("NumberOfFrames", 1), described_frames(dataset)
+    if stated != described:
+        header = _parse(path, dataset, pixels_at)
+        problem = f"its header states {stated} frames and describes {described}"
+        return [] if header is None else [replace(header, problem=problem, problem_code="import.header")]
+    found = [_parse(path, dataset, pixels_at, frame=frame) for frame in each_frame(dataset)]
+    return [header for header in found if header is not None]
+
+
+def _parse(path: Path, dataset: Dataset, pixels_at: int | None, *, frame: int | None = None) -> SliceHeader | None:
+    """Return the header of a slice or frame, parsed from its tags; None for a file without an image."""
     tags = _Tags(dataset)
     rows, columns = tags.whole("Rows", 0), tags.whole("Columns", 0)
     modality = tags.text("Modality")
@@ -458,9 +460,10 @@ def _parse(path: Path, dataset: Dataset, pixels_at: int | None) -> SliceHeader |
     bits_allocated = tags.whole("BitsAllocated", 0)
     bits_stored = tags.whole("BitsStored", bits_allocated)
     high_bit = tags.whole("HighBit", bits_stored - 1)
-    if num_frames != 1 or "SharedFunctionalGroupsSequence" in dataset:
+    if frame is None and (num_frames != 1 or "SharedFunctionalGroupsSequence" in dataset):
         problem, code = (
-            f"it is a multi-frame image ({num_frames} frames in one file), which is not supported",
+            f"it is a multi-frame image ({num_frames} frames in one file) that does not describe its frames as an "
+            "enhanced CT or MR image does",
             "import.multi-frame",
         )
     elif samples != 1 or not photometric.startswith("MONOCHROME"):
@@ -543,6 +546,9 @@ def _parse(path: Path, dataset: Dataset, pixels_at: int | None) -> SliceHeader |
         pixels_at=pixels_at,
         padding=padding,
         modality_lut=lut,
+        frame=frame,
+        num_frames=1 if frame is None else num_frames,
+        image_uid="" if frame is None else str(tags.raw("ConcatenationUID") or tags.raw("SOPInstanceUID") or ""),
         problem=problem,
         problem_code=code,
     )

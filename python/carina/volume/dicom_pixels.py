@@ -17,8 +17,9 @@ from pydicom.uid import UID, CTImageStorage
 
 from carina.disk import scratch_folder
 from carina.errors import VolumeImportError
-from carina.volume.dicom_headers import SliceHeader, read_pixel_bytes
-from carina.volume.dicom_streams import Stream, decoder_words, fragments, read_stream, rle_problem
+from carina.volume.dicom_headers import SliceHeader
+from carina.volume.dicom_pixel_bytes import read_plain_pixels, read_stream_bytes
+from carina.volume.dicom_streams import Stream, decoder_words, read_stream, rle_problem
 from carina.volume.gdcm_decoder import decode
 from carina.volume.model import Remark
 from carina.volume.padding import PaddedPixels, find_padding
@@ -50,7 +51,7 @@ class SlicePixels:
 
 def _truncated_error(header: SliceHeader, expected: int, found: int) -> VolumeImportError:
     msg = (
-        f"reading {header.path.name}: its pixel data is truncated (expected {expected} bytes, found {found}), probably "
+        f"reading {header.file_name}: its pixel data is truncated (expected {expected} bytes, found {found}), probably "
         "by an incomplete copy; copy the series again"
     )
     return VolumeImportError(msg, code="import.truncated")
@@ -63,15 +64,17 @@ def _plain_pixels(header: SliceHeader) -> tuple[NDArray[np.int32], tuple[Doubt, 
     if header.path.stat().st_size < expected and header.transfer_syntax != _DEFLATED_LITTLE:
         raise _truncated_error(header, expected, header.path.stat().st_size)
     try:
-        stored = read_pixel_bytes(header)
+        stored, surplus = read_plain_pixels(header, expected)
     except ValueError:
         raise _truncated_error(header, expected, 0) from None
     if len(stored) < expected:
         raise _truncated_error(header, expected, len(stored))
-    if len(stored) > expected + 1:  # one byte of padding makes the length even
+    if surplus > 1:  # one byte of padding makes the length even
+        whole = expected * header.num_frames
+        frames = f" in {header.num_frames} frames" if header.frame is not None else ""
         msg = (
-            f"reading {header.path.name}: expected {expected} bytes of pixel data for {header.columns} x {header.rows} "
-            f"pixels, found {len(stored)}; the header does not match the pixel data; copy the series again"
+            f"reading {header.path.name}: expected {whole} bytes of pixel data for {header.columns} x {header.rows} "
+            f"pixels{frames}, found {whole + surplus}; the header does not match the pixel data; copy the series again"
         )
         raise VolumeImportError(msg, code="import.header")
     order = ">" if header.transfer_syntax == _EXPLICIT_BIG else "<"
@@ -122,7 +125,7 @@ def _check_coded_size(header: SliceHeader, stream: Stream | None) -> None:
         else f"{stream.columns} x {stream.rows} pixels with {stream.components} values each"
     )
     msg = (
-        f"reading {header.path.name}: expected {header.columns} x {header.rows} grey pixels, found {found}; the "
+        f"reading {header.file_name}: expected {header.columns} x {header.rows} grey pixels, found {found}; the "
         "file is damaged; copy the series again"
     )
     raise VolumeImportError(msg, code="import.truncated")
@@ -159,14 +162,14 @@ def _decoded_pixels(header: SliceHeader) -> tuple[NDArray[np.int32], tuple[Doubt
         )
         raise VolumeImportError(msg, code="import.not-supported")
     try:
-        stored = read_pixel_bytes(header)
+        frame = read_stream_bytes(header)
     except ValueError:
-        msg = f"reading {header.path.name}: its pixel data cannot be found; the file is damaged; copy the series again"
+        loss = "cannot be found" if header.frame is None else "cannot be divided into its frames"
+        msg = f"reading {header.path.name}: its pixel data {loss}; the file is damaged; copy the series again"
         raise VolumeImportError(msg, code="import.truncated") from None
-    frame = fragments(stored)
     if frame is None:
         msg = (
-            f"reading {header.path.name}: its compressed pixel data is truncated, probably by an incomplete copy; copy "
+            f"reading {header.file_name}: its compressed pixel data is truncated, probably by an incomplete copy; copy "
             "the series again"
         )
         raise VolumeImportError(msg, code="import.truncated")
@@ -198,14 +201,14 @@ def _decoded_pixels(header: SliceHeader) -> tuple[NDArray[np.int32], tuple[Doubt
                 values = decode(path)
         except (RuntimeError, ValueError, MemoryError, OverflowError, TypeError, AttributeError, LookupError):
             msg = (
-                f"reading {header.path.name}: its compressed pixel data cannot be decoded (transfer syntax "
+                f"reading {header.file_name}: its compressed pixel data cannot be decoded (transfer syntax "
                 f"{header.transfer_syntax}); the file is damaged or its compression is not supported; export the "
                 "series uncompressed"
             )
             raise VolumeImportError(msg, code="import.truncated") from None
     if values.shape != (header.rows, header.columns):
         msg = (
-            f"reading {header.path.name}: expected {header.columns} x {header.rows} grey pixels, found "
+            f"reading {header.file_name}: expected {header.columns} x {header.rows} grey pixels, found "
             f"an image of size {values.shape[::-1]}; export the series again"
         )
         raise VolumeImportError(msg, code="import.header")

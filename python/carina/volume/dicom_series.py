@@ -11,6 +11,9 @@ would then be stacked or interleaved into one volume with a finer slice spacing 
 - Two values of a *setting* (kernel, acquisition, phase, contrast, ...) divide a series only if the parts share
   positions or are interleaved. A chest scanned in several breaths changes its acquisition number within the stack and
   stays one series, with a note.
+- Two *stacks* of an enhanced file (StackID) divide a series unless they form one regular stack together.
+- Frames of several enhanced files that share positions and do not differ in any setting are divided by file. The files
+  of one concatenation count as one.
 - Of byte-identical files only one counts.
 """
 
@@ -21,6 +24,7 @@ import itertools
 import math
 from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 
@@ -64,15 +68,16 @@ def without_copies(
     """
     alike: dict[Hashable, list[SliceHeader]] = {}
     for header in headers:
-        alike.setdefault((header.sop_uid, header.series_uid, header.position_lps), []).append(header)
+        alike.setdefault(header.image_key, []).append(header)
     if len(alike) == len(headers):
         return list(headers), {}
     copies: dict[Hashable, list[SliceHeader]] = {}
+    digests: dict[Path, bytes] = {}  # all frames of a file have one digest
     for key, twins in alike.items():
         seen: set[bytes] = set()
         for header in twins if len(twins) > 1 else ():
             watch.step("Comparing duplicate files")
-            digest = _digest(header)
+            digest = digests[header.path] = digests.get(header.path) or _digest(header)
             if digest in seen:
                 copies.setdefault(key, []).append(header)
             seen.add(digest)
@@ -241,7 +246,7 @@ def _is_regular(slices: Sequence[SliceHeader]) -> bool:
     if any(header.problem is not None for header in slices):
         return False
     try:
-        grid_from_slices(slices, what="")
+        grid_from_slices(slices, what="", fills_gaps=False)
     except VolumeImportError:
         return False
     return True
@@ -287,16 +292,24 @@ def _part_by_setting(group: Group) -> list[Group]:
         for at, word in enumerate(SETTINGS.values())
         if len(parts := _by_value(group.slices, [h.settings[at] for h in group.slices])) > 1
     ]
-    if not keys:
+    by_file = _by_file(group.slices)
+    if not keys and len(by_file) < 2:
         return [group]
     # A setting with a different value in nearly every slice (a time, a counter) does not define stacks.
     telling = [(word, parts) for word, parts in keys if 2 * len(parts) <= len(group.slices)]
-    if _is_regular(group.slices):
+    is_regular = _is_regular(group.slices)
+    if is_regular:
         # In a regular stack, slices without the tag do not form a second scan.
         telling = [(word, parts) for word, parts in telling if "" not in parts or len(parts) > 2]
         telling = [(word, parts) for word, parts in telling if _are_combs(group.slices, list(parts.values()))]
     else:
-        telling = [(word, parts) for word, parts in telling if _share_heights(list(parts.values()))]
+        telling = [
+            (word, parts)
+            for word, parts in telling
+            if _share_heights(list(parts.values())) or (word == "stack" and min(map(len, parts.values())) > 1)
+        ]
+    if not telling and not is_regular and len(by_file) > 1 and _share_heights(list(by_file.values())):
+        telling = [("file", by_file)]
     if not telling:
         return [_with_notes_on_settings(group, keys)]
     # The setting with the fewest values is used: two kernels in three acquisitions are two series, not three.
@@ -319,6 +332,13 @@ def _part_by_setting(group: Group) -> list[Group]:
             part = _with_note(part, Note("import.part-of-stack", words, badge=True))
         found.extend(_part_by_setting(part))
     return found
+
+
+def _by_file(slices: Sequence[SliceHeader]) -> dict[str, list[SliceHeader]]:
+    """Return the frames of enhanced files by their file, or by their concatenation of files, numbered by name."""
+    names = {header.image_uid: str(header.path) for header in reversed(slices) if header.image_uid}
+    numbers = {uid: str(number) for number, uid in enumerate(sorted(names, key=lambda uid: names[uid]), 1)}
+    return _by_value(slices, [numbers.get(header.image_uid, "") for header in slices])
 
 
 def _with_note(group: Group, note: Note) -> Group:

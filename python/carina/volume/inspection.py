@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -23,8 +23,9 @@ from carina.volume.grid_headers import read_grid_header
 from carina.volume.io_errors import guarded
 from carina.volume.message_limits import bounded_message
 from carina.volume.model import Note, SeriesInfo
-from carina.volume.opening import find_in, place_name, refuse_series
+from carina.volume.opening import check_exists, find_in, place_name, refuse_series
 from carina.volume.progress import Watch
+from carina.volume.scan_place import scan_place
 
 
 @one_line
@@ -74,7 +75,7 @@ class Inspection:
         """Return the facts as plain JSON types, as ``carina info --json`` prints them."""
         return {
             "format": self.format,
-            "series": [asdict(info) for info in self.series],
+            "series": [info.to_json() for info in self.series],
             "chosen": None if self.chosen is None else self.chosen.key,
             "shape_zyx": None if self.shape_zyx is None else list(self.shape_zyx),
             "spacing_mm": None if self.spacing_mm is None else list(self.spacing_mm),
@@ -133,6 +134,18 @@ def inspect_path(
 
 
 def _inspect(path: Path, key: str | None, watch: Watch) -> Inspection:
+    check_exists(path)
+    with scan_place(path, watch) as place:
+        found = _inspect_place(place.path, key, watch)
+        return replace(
+            found,
+            series=tuple(map(place.series, found.series)),
+            notes=tuple(map(place.note, found.notes)),
+            refused=None if found.refused is None else place.text(found.refused),
+        )
+
+
+def _inspect_place(path: Path, key: str | None, watch: Watch) -> Inspection:
     found = find_in(path, watch)
     if isinstance(found, str):
         refuse_series(path, found, key)

@@ -23,8 +23,8 @@ from collections.abc import Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 
-from carina.volume.dicom_headers import SliceHeader, read_pixel_bytes
-from carina.volume.dicom_streams import fragments
+from carina.volume.dicom_headers import SliceHeader
+from carina.volume.dicom_pixel_bytes import read_stream_bytes
 from carina.volume.model import Note
 
 _JPEG_2000 = ("1.2.840.10008.1.2.4.90", "1.2.840.10008.1.2.4.91")
@@ -130,7 +130,7 @@ class SecondDecoder:
 
 def _problem(header: SliceHeader) -> str | None:
     try:
-        frame = fragments(read_pixel_bytes(header))
+        frame = read_stream_bytes(header)
     except (ValueError, OSError):
         return None  # the first decoder refuses the slice
     return None if frame is None else j2k_problem(frame)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields
+from dataclasses import asdict, dataclass, field, fields
 from typing import Any
 
 import numpy as np
@@ -63,6 +63,24 @@ class SeriesInfo:
     shape_zyx: tuple[int, int, int] | None = None
     refused: str | None = None
     """Reason why the series cannot be opened; None if it can."""
+    height_mm: float | None = None
+    """Height that the slices cover, mm; None if the series is refused."""
+    slice_distance_mm: float | None = None
+    """Distance of neighbouring slices, mm; None if the series is refused."""
+    thickness_mm: float | None = None
+    """SliceThickness of all slices, mm; None without one common value."""
+    kernel: str = ""
+    """Reconstruction kernel, in lower case; empty if the slices state none or several."""
+    phase: str = ""
+    """Phase of breathing or of the heart, or time point; empty if the slices state none or several."""
+    acquired_on: str | None = field(default=None, repr=False)
+    """ISO date of the scan, only for the list in the window of this user; see :attr:`VolumeSource.acquired_on`."""
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the facts as plain JSON types, without the date, which can help to identify a patient."""
+        found = asdict(self)
+        del found["acquired_on"]
+        return found
 
 
 @one_line
@@ -88,6 +106,10 @@ class VolumeSource:
     """
     slice_thickness_mm: float | None = None
     """SliceThickness of DICOM in mm: the thickness of tissue that one slice averages; None without one common value."""
+    interpolated_slices: tuple[int, ...] = ()
+    """Indices k of slices that were missing in the files and were interpolated; a badge names them."""
+    tilt_deg: float | None = None
+    """Gantry tilt in degrees that was corrected by resampling, with a badge; None for a scan without tilt."""
 
     @property
     def warnings(self) -> tuple[str, ...]:

@@ -15,13 +15,14 @@ from carina.volume.grid_headers import sniff_format
 from carina.volume.io_errors import guarded
 from carina.volume.model import Volume
 from carina.volume.progress import Watch
+from carina.volume.scan_place import scan_place
 
 # The DICOM readers are loaded at first use, so that grid files and the start page do not load their libraries.
 if TYPE_CHECKING:
     from carina.volume.dicom import FoundSeries
     from carina.volume.dicom_files import FolderContent
 
-_KINDS = "a DICOM folder, NIfTI (.nii, .nii.gz), NRRD (.nrrd) or MetaImage (.mha, .mhd)"
+_KINDS = "a DICOM folder, NIfTI (.nii, .nii.gz), NRRD (.nrrd), MetaImage (.mha, .mhd) or an archive (.zip, .tar.gz)"
 _GRID_SUFFIXES = (".nii", ".nii.gz", ".nrrd", ".nhdr", ".mha", ".mhd")
 
 
@@ -34,13 +35,14 @@ def open_volume(
     progress: ProgressChoice = None,
     cancel: Callable[[], bool] | None = None,
 ) -> Volume:
-    """Open a chest CT: a DICOM folder (or one of its files), a NIfTI, NRRD or MetaImage file.
+    """Open a chest CT: a DICOM folder (or one of its files), a NIfTI, NRRD or MetaImage file, or an archive of them.
 
     Parameters
     ----------
     path
         Folders are searched with all their subfolders; files need no extension. One DICOM file selects its series in
-        its folder.
+        its folder; a DICOMDIR file selects its folder. A zip or tar archive is opened like a folder: its files are
+        unpacked into a private temporary folder, which is removed after reading.
     series
         Key of the DICOM series to open (``SeriesInfo.key``). None opens the largest chest CT, and ``source.notes`` list
         the other series.
@@ -138,6 +140,12 @@ def _not_an_image(path: Path, kind: str | None) -> str:
 
 
 def _open(path: Path, series: str | None, watch: Watch) -> Volume:
+    check_exists(path)
+    with scan_place(path, watch) as place:
+        return place.volume(_open_place(place.path, series, watch))
+
+
+def _open_place(path: Path, series: str | None, watch: Watch) -> Volume:
     found = find_in(path, watch)
     if isinstance(found, str):
         refuse_series(path, found, series)
@@ -187,11 +195,7 @@ def _series_of_file(path: Path, watch: Watch) -> list[FoundSeries]:
     return [
         item
         for item in find_series(content, watch)
-        if any(
-            h.path == own.path
-            or (h.sop_uid, h.series_uid, h.position_lps) == (own.sop_uid, own.series_uid, own.position_lps)
-            for h in item.slices
-        )
+        if any(h.path == own.path or h.image_key == own.image_key for h in item.slices)
     ]
 
 

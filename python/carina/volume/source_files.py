@@ -11,12 +11,14 @@ from typing import Literal
 
 from carina.display import one_line
 from carina.errors import CarinaError
+from carina.volume.archives import archive_kind
 from carina.volume.dicom_signature import looks_like_dicom
 from carina.volume.grid_headers import read_grid_header, sniff_format
 from carina.volume.header_nifti import data_files
 from carina.volume.read_limits import MAX_FILES
+from carina.volume.scan_place import is_media_directory
 
-Reads = Literal["tree", "folder", "files"]
+Reads = Literal["tree", "folder", "files", "tree around"]
 _UNSETTLED_S = 2.0
 """Resolution of file times on FAT, the coarsest file system; a later change within this time may be undetected."""
 
@@ -27,7 +29,10 @@ class SourceFiles:
     """State of a volume's files for the detection of changes; contains no path, and names only for single files."""
 
     reads: Reads
-    """``tree``: all files below a folder; ``folder``: all files beside a DICOM file; ``files``: single files."""
+    """``tree``: all files below a folder; ``folder``: all files beside a DICOM file; ``files``: single files.
+
+    ``tree around``: all files beside a DICOMDIR file, and below its folder.
+    """
     names: tuple[str, ...]
     """Names of single files in one folder, including missing files that would be read if they existed."""
     num_files: int
@@ -108,8 +113,12 @@ def _what_is_read(path: Path) -> tuple[Reads, tuple[str, ...]]:
     """
     if path.is_dir():
         return "tree", ()
+    if is_media_directory(path):
+        return "tree around", ()
     if looks_like_dicom(path):
         return "folder", ()
+    if archive_kind(path) is not None:
+        return "files", (path.name,)
     kind = sniff_format(path)
     if kind not in ("nifti", "nrrd", "metaimage"):
         raise ValueError

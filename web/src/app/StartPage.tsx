@@ -64,7 +64,7 @@ function DropPlace() {
     >
       <Icon name="folder" />
       <p>
-        <strong>Drop a folder or a file here</strong>
+        <strong>Drop a folder, a file or an archive (zip, tar) here</strong>
         <br />
         <span className="quiet">a DICOM series, NIfTI, NRRD, MetaImage or a Carina case</span>
       </p>

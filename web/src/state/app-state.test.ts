@@ -57,6 +57,8 @@ const OPEN: StateMessage = {
     other_series: [],
     citation: null,
     off: [],
+    interpolated_slices: [],
+    tilt_deg: null,
     ct_name: null,
   },
 };

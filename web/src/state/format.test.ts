@@ -1,5 +1,5 @@
 import { describe, expect, it } from "vitest";
-import { carmText, finenessText, methodText } from "./format";
+import { carmText, finenessText, methodText, seriesText } from "./format";
 
 describe("finenessText", () => {
   it("The text states the share of the full width, and the ray step if it is longer than the finest.", () => {
@@ -30,5 +30,34 @@ describe("methodText", () => {
     expect(methodText("brute", "leap")).toBe("full sampling until fast rendering is ready");
     expect(methodText("plane", "leap")).toBe("cut-plane");
     expect(methodText(null, "leap")).toBe("fast rendering");
+  });
+});
+
+describe("seriesText", () => {
+  const series = {
+    modality: "CT",
+    description: "Thorax, reconstruction kernel b41f",
+    num_slices: 300,
+    slice_distance_mm: 0.7,
+    thickness_mm: 1,
+    kernel: "b41f",
+    phase: "breathing 50 %",
+    acquired_on: "2026-11-30",
+  };
+  it("A series is described by its slices, phase and date, without a second mention of its kernel.", () => {
+    expect(seriesText(series)).toBe(
+      "Thorax, reconstruction kernel b41f, 300 slices, every 0.70\u202fmm, 1.00\u202fmm thick, breathing 50 %, 2026-11-30",
+    );
+  });
+  it("Facts that a series does not state are left out.", () => {
+    const bare = {
+      ...series,
+      description: "",
+      slice_distance_mm: null,
+      thickness_mm: null,
+      phase: "",
+      acquired_on: null,
+    };
+    expect(seriesText({ ...bare, num_slices: 1 })).toBe("CT, 1 slice, kernel b41f");
   });
 });

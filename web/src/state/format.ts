@@ -128,3 +128,29 @@ export function agoText(seconds: number): string {
   const whole = Math.round(seconds);
   return `${Math.floor(whole / 60)}:${String(whole % 60).padStart(2, "0")} min`;
 }
+
+/** Facts about a series of a folder that distinguish it from the others. */
+interface SeriesFacts {
+  readonly modality: string;
+  readonly description: string;
+  readonly num_slices: number;
+  readonly slice_distance_mm: number | null;
+  readonly thickness_mm: number | null;
+  readonly kernel: string;
+  readonly phase: string;
+  readonly acquired_on: string | null;
+}
+
+/** Return a series as text: description, number, distance and thickness of its slices, kernel, phase and date. */
+export function seriesText(series: SeriesFacts): string {
+  const title = series.description || series.modality;
+  const facts = [
+    `${series.num_slices} ${series.num_slices === 1 ? "slice" : "slices"}`,
+    series.slice_distance_mm === null ? "" : `every ${mm(series.slice_distance_mm, 2)}`,
+    series.thickness_mm === null ? "" : `${mm(series.thickness_mm, 2)} thick`,
+    series.kernel === "" || title.includes(series.kernel) ? "" : `kernel ${series.kernel}`,
+    series.phase,
+    series.acquired_on ?? "",
+  ];
+  return [title, ...facts.filter((fact) => fact !== "")].join(", ");
+}

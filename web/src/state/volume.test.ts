@@ -1,7 +1,7 @@
 import { describe, expect, it } from "vitest";
 import { randomAxes, randomOf } from "./rotations.testing";
 import { add, distance, scale, type Vec3 } from "./vec";
-import { clampToVolume, type Grid } from "./volume";
+import { clampToVolume, type Grid, isInterpolated, sliceOf } from "./volume";
 
 /** Return an oblique, anisotropic grid, on which swapped axes fail the test. */
 function obliqueGrid(random: () => number) {
@@ -40,5 +40,22 @@ describe("clampToVolume", () => {
       expect(distance(clampToVolume(grid, at(4, -9, 2)), at(4, -0.499, 2))).toBeLessThan(1e-6);
       expect(distance(clampToVolume(grid, at(4, 3, 70)), at(4, 3, 6.499))).toBeLessThan(1e-6);
     }
+  });
+});
+
+describe("sliceOf", () => {
+  it("A plane parallel to the slices has the index of its slice, and another plane has none.", () => {
+    const { grid, at } = obliqueGrid(randomOf(3));
+    const [right, down, ahead] = [1, 2, 3].map((axis) =>
+      add(at(axis === 1 ? 1 : 0, axis === 2 ? 1 : 0, axis === 3 ? 1 : 0), scale(at(0, 0, 0), -1)),
+    ) as [Vec3, Vec3, Vec3];
+    expect(sliceOf(grid, at(11, 4, 3.25), right, down)).toBeCloseTo(3.25, 9);
+    expect(sliceOf(grid, at(11, 4, 3), add(right, down), down)).toBeCloseTo(3, 9);
+    expect(sliceOf(grid, at(11, 4, 3), right, ahead)).toBeNull();
+  });
+  it("A plane up to the neighbouring measured slices shows interpolated values.", () => {
+    expect([2, 2.5, 3, 3.5, 4].map((slice) => isInterpolated(slice, [3]))).toEqual([false, true, true, true, false]);
+    expect(isInterpolated(null, [3])).toBe(false);
+    expect(isInterpolated(3, [])).toBe(false);
   });
 });

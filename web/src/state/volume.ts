@@ -33,6 +33,25 @@ const EDGE_VOX = 0.499;
 
 const clamp = (value: number, count: number): number => Math.min(Math.max(value, -EDGE_VOX), count - 1 + EDGE_VOX);
 
+/**
+ * Return the index k of the volume's slice that a plane shows; null if the plane is not parallel to the slices.
+ * The plane contains `origin` and the directions `right` and `down`, LPS mm.
+ */
+export function sliceOf(grid: Grid, origin: Vec3, right: Vec3, down: Vec3): number | null {
+  const normal = cross(column(grid.lps_from_ijk, 0), column(grid.lps_from_ijk, 1));
+  const step = dot(column(grid.lps_from_ijk, 2), normal);
+  if (step === 0) return null;
+  const length = Math.sqrt(dot(normal, normal));
+  const slope = (direction: Vec3) => Math.abs(dot(direction, normal)) / (length * Math.sqrt(dot(direction, direction)));
+  if (!(slope(right) < 1e-3 && slope(down) < 1e-3)) return null;
+  return dot(sub(origin, column(grid.lps_from_ijk, 3)), normal) / step;
+}
+
+/** Return whether a plane shows an interpolated slice, or lies between one and a measured slice. */
+export function isInterpolated(slice: number | null, interpolated: readonly number[]): boolean {
+  return slice !== null && interpolated.some((index) => Math.abs(slice - index) < 0.999);
+}
+
 /** Return the middle of the volume's box, LPS mm. */
 export function middleOf(info: Grid): Vec3 {
   const [nz, ny, nx] = asVec3(info.shape_zyx);

@@ -15,6 +15,7 @@ import {
 } from "../state/projection";
 import { add, scale, type Vec3 } from "../state/vec";
 import { planeAcross } from "../state/view-table";
+import { isInterpolated, sliceOf } from "../state/volume";
 import { PLANES, type PlaneName, VIEWS } from "../wire/views";
 import {
   INK,
@@ -108,6 +109,7 @@ export function paintFlat(ink: Ink, viewport: Viewport, scene: Scene): void {
   if (!standsIn) paintScale(ink, viewport, mmPerPixel(geometry));
   if (plane !== null) paintSlab(ink, viewport, scene);
   if (!seesThrough) {
+    paintInterpolated(ink, viewport, geometry, scene);
     paintBrush(ink, viewport, scene, mmPerPixel(geometry) / viewport.magnification, (lps) => {
       const seen = pixelFromLps(geometry, lps);
       return seen === null ? null : viewport.screenAt(seen);
@@ -241,6 +243,15 @@ export function paintSlab(ink: Ink, viewport: Viewport, scene: Scene): void {
   const outlined = scene.outlineVisible && viewport.outline !== null ? ", outline of the central plane" : "";
   const words = `${SLAB_TEXTS[scene.slab.kind]} ${scene.slab.thickness_mm} mm${outlined}`;
   label(ink, words, { x: width - 8, y: height - 12 }, { size: 11, align: "right" });
+}
+
+/** Draw a text over a slice that was missing in the files: nothing was measured there. */
+function paintInterpolated(ink: Ink, viewport: Viewport, geometry: FlatGeometry, scene: Scene): void {
+  if (scene.grid === null || scene.interpolated.length === 0) return;
+  const slice = sliceOf(scene.grid, geometry.origin, geometry.perColumn, geometry.perRow);
+  if (!isInterpolated(slice, scene.interpolated)) return;
+  const { width, height } = viewport.size;
+  label(ink, "interpolated slice", { x: width / 2, y: height - 34 }, { size: 12, bold: true, colour: INK.warning });
 }
 
 /** Draw the scale bar in the lower left corner of the view, or centred at a given point. */

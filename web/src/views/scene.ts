@@ -84,6 +84,8 @@ export interface Scene {
   airwayShape: Shape;
   /** Voxel grid of the volume; null without a case. */
   grid: Grid | null;
+  /** Indices k of slices that were missing in the files and were interpolated. */
+  interpolated: readonly number[];
   carm: Carm;
   slab: Slab;
   /** The plane of the tri-plane view under the cursor; null if there is none. */
@@ -418,6 +420,7 @@ function buildScene(state: AppState): Scene {
     start: state.ui.pathCost === "lumen" ? null : startOf(state.ui, state.session),
     airwayShape: shapeOf(state.look.outline),
     grid: state.session?.case ?? null,
+    interpolated: state.session?.case?.interpolated_slices ?? [],
     carm: state.sight.carm,
     slab: state.sight.slab,
     overPlane: state.ui.overPlane,

@@ -30,6 +30,12 @@ export interface OpenPathMessage {
   readonly path: string;
 }
 
+/** Open another DICOM series of the folder from which the CT on screen was opened. */
+export interface OpenSeriesMessage {
+  readonly type: "open_series";
+  readonly key: string;
+}
+
 /** Open a bundled case. */
 export interface OpenDemoMessage {
   readonly type: "open_demo";
@@ -1417,6 +1423,11 @@ export interface OtherSeries {
   readonly description: string;
   readonly num_slices: number;
   readonly refused: string | null;
+  readonly slice_distance_mm: number | null;
+  readonly thickness_mm: number | null;
+  readonly kernel: string;
+  readonly phase: string;
+  readonly acquired_on: string | null;
 }
 
 /** A feature that this volume does not support, and the reason. */
@@ -1442,6 +1453,8 @@ export interface CaseInfo {
   readonly citation: Citation | null;
   readonly off: readonly FeatureOff[];
   readonly number: number;
+  readonly interpolated_slices: readonly number[];
+  readonly tilt_deg: number | null;
   readonly ct_name: string | null;
 }
 
@@ -2265,6 +2278,7 @@ export const NO_COMMANDS: readonly string[] = ["hello", "open_upload", "import_m
 
 export type ClientMessage =
   | OpenPathMessage
+  | OpenSeriesMessage
   | OpenDemoMessage
   | OpenRecentMessage
   | BeginAnewMessage

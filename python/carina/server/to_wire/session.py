@@ -131,11 +131,25 @@ def _case_message(snapshot: Snapshot, *, names_ct: bool) -> wire.CaseInfo | None
         notes=_note_messages(source.notes),
         quality=case.quality,
         other_series=tuple(
-            wire.OtherSeries(s.key, s.modality, s.description, s.num_slices, s.refused) for s in source.other_series
+            wire.OtherSeries(
+                s.key,
+                s.modality,
+                s.description,
+                s.num_slices,
+                s.refused,
+                s.slice_distance_mm,
+                s.thickness_mm,
+                s.kernel,
+                s.phase,
+                s.acquired_on if names_ct else None,
+            )
+            for s in source.other_series
         ),
         citation=source.citation,
         off=case.off,
         number=snapshot.case_number,
+        interpolated_slices=source.interpolated_slices,
+        tilt_deg=source.tilt_deg,
         ct_name=source.title if names_ct else None,
     )
 

@@ -144,6 +144,12 @@ class OtherSeries(FrozenValue, frozen=True):
     num_slices: Count
     refused: Words | None
     """Reason why the series cannot be opened; null if it can."""
+    slice_distance_mm: float | None = None
+    thickness_mm: float | None = None
+    kernel: Words = ""
+    phase: Words = ""
+    acquired_on: Words | None = None
+    """ISO date of the scan; sent only to windows on the machine that runs Carina, else null."""
 
 
 class CaseNote(FrozenValue, frozen=True):
@@ -176,6 +182,10 @@ class CaseInfo(FrozenValue, frozen=True):
     off: tuple[FeatureOff, ...]
     number: Count = 0
     """Number that increases with each opened case; it distinguishes two cases of one CT."""
+    interpolated_slices: tuple[Count, ...] = ()
+    """Indices k of slices that were missing in the files and were interpolated."""
+    tilt_deg: float | None = None
+    """Gantry tilt in degrees that was corrected; null for a scan without tilt."""
     ct_name: Words | None = None
     """Name of the CT file or text of its series; sent only to windows on the machine that runs Carina, else null."""
 

@@ -38,7 +38,16 @@ DOOR_WITHIN_S = 3.0
 LOOK_EVERY_S = 0.05
 CLOCKS_S = 0.1
 """Tolerance, in s, when the time of a step (counted from the beginning of its case) is compared with a clock time."""
-OTHER_CASES = (c.OpenPath, c.OpenDemo, c.OpenRecent, c.OpenFiles, c.OpenVolume, c.BeginAnew, c.CloseCase)
+OTHER_CASES = (
+    c.OpenPath,
+    c.OpenSeries,
+    c.OpenDemo,
+    c.OpenRecent,
+    c.OpenFiles,
+    c.OpenVolume,
+    c.BeginAnew,
+    c.CloseCase,
+)
 """Commands that would close this case in the window."""
 
 

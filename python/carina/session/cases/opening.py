@@ -69,6 +69,23 @@ class CaseOpener(CommandHandlers):
         """Open a file or folder, and add it to the list of recent cases."""
         return self._open_path(command.path)
 
+    @does(c.OpenSeries)
+    def open_series(self, command: c.OpenSeries) -> str:
+        """Open another series of the open CT's folder; UsageError if the place of the folder is not known."""
+        with self.core.lock:
+            place = self._saving.place_of(self.core.needed_case())
+        if place is None or place.startswith("demo:"):
+            raise UsageError(
+                "the files of this CT were dropped and are not stored: open their folder or archive by its path to "
+                "choose another series",
+                code="case.no-ct",
+            )
+
+        def read(job: Job) -> Volume:
+            return self._saving.open_ct(place, job.progress, job.cancel, series=command.key)
+
+        return self._open("opening the series", read, None, place)
+
     @does(c.OpenFiles)
     def open_files(self, command: c.OpenFiles) -> str:
         """Open files in a temporary folder, such as dropped files; their path is not stored."""
@@ -97,7 +114,8 @@ class CaseOpener(CommandHandlers):
 
         def read(job: Job) -> Volume:
             try:
-                return self._saving.open_ct(path, job.progress, job.cancel)
+                volume = self._saving.open_ct(path, job.progress, job.cancel)
+                return volume if case_id is None else self._saving.series_of_case(volume, path, case_id, job)
             except VolumeImportError as error:
                 if case_id is None or Path(path).exists():
                     raise

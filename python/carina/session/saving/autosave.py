@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import sqlite3
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -434,11 +434,43 @@ class Autosave(CommandHandlers):
             )
         )
 
-    @property
-    def open_ct(self) -> Callable[[str, Progress, Cancel], Volume]:
-        """Function that opens a CT of this machine, with the cache if there is one."""
+    def open_ct(self, path: str, progress: Progress, cancel: Cancel, *, series: str | None = None) -> Volume:
+        """Open a CT of this machine, with the cache if there is one.
+
+        Parameters
+        ----------
+        path, progress, cancel
+            As in :func:`carina.open_volume`.
+        series
+            Key of a DICOM series; None opens the likeliest chest CT.
+        """
         stored = None if self._files is None else self._files.open_ct
-        return self.core.parts.open_volume if stored is None else stored
+        opener = self.core.parts.open_volume if stored is None else stored
+        return opener(path, progress, cancel) if series is None else opener(path, progress, cancel, series=series)
+
+    def series_of_case(self, volume: Volume, path: str, case_id: str, job: Job) -> Volume:
+        """Return the CT of a stored case, which may be another series of the folder than the likeliest chest CT.
+
+        Parameters
+        ----------
+        volume
+            The likeliest chest CT of the folder; returned if no series is the CT of the case.
+        path
+            The folder.
+        case_id
+            The stored case.
+        job
+            The job that opens the case.
+        """
+        record = None if self.records is None else self.records.find(case_id)
+        if record is None or self.digest_of(volume) == record.digest:
+            return volume
+        for info in volume.source.other_series:
+            if info.refused is None and info.num_slices > 1:
+                other = self.open_ct(path, job.progress, job.cancel, series=info.key)
+                if self.digest_of(other) == record.digest:
+                    return other
+        return volume
 
     def digest_of(self, volume: Volume) -> str | None:
         """Return the digest that identifies a CT; None where no case is stored."""

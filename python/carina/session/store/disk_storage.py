@@ -74,7 +74,7 @@ def case_files(cache: VolumeCache | None = None, records: CaseRecords | None = N
     if cache is None:
         return CaseFileFunctions(create, reopen, write, ct_digest, picture=thumbnail, scans=scans)
 
-    def open_ct(path: str, progress: Progress, cancel: Cancel) -> Volume:
-        return cache.open_and_keep(path, progress=progress, cancel=cancel)
+    def open_ct(path: str, progress: Progress, cancel: Cancel, series: str | None = None) -> Volume:
+        return cache.open_and_keep(path, series=series, progress=progress, cancel=cancel)
 
     return CaseFileFunctions(create, reopen, write, ct_digest, open_ct, cache.close, thumbnail, cache, scans)

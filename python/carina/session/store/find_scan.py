@@ -12,7 +12,7 @@ from carina.case import CaseFile, CaseFileError
 from carina.display import one_line
 from carina.display.progress import Progress, ProgressChoice, progress_function, shows_progress
 from carina.errors import CancelledError, CarinaError, UsageError
-from carina.volume import Volume, refuse_other_ct
+from carina.volume import Volume, ct_digest, refuse_other_ct
 
 if TYPE_CHECKING:
     from carina.session.store.registry import CaseRecords
@@ -127,6 +127,8 @@ class CaseScans:
                 volume = self._open_demo(place.removeprefix("demo:"), report or _no_progress, cancel or _no_cancel)
             else:
                 volume = self._open_scan(Path(place), series, report, cancel)
+                if series is None:
+                    volume = self._series_with_digest(volume, source.digest, Path(place), report, cancel)
             refuse_other_ct(volume, source.digest, source)
             return FoundScan(volume, place)
 
@@ -155,6 +157,19 @@ class CaseScans:
             f"{case.path}: the scan of this case was not found{'' if path is None else f' at {path}'}; {self._advice}",
             code="case.no-scan",
         )
+
+    def _series_with_digest(
+        self, volume: Volume, digest: str, place: Path, progress: Progress | None, cancel: Cancel
+    ) -> Volume:
+        """Return the series of a folder that has a digest; if there is none, the volume of the likeliest chest CT."""
+        if ct_digest(volume) == digest:
+            return volume
+        for info in volume.source.other_series:
+            if info.refused is None and info.num_slices > 1:
+                other = self._open_scan(place, info.key, progress, cancel)
+                if ct_digest(other) == digest:
+                    return other
+        return volume
 
     def _candidate_places(self, case: CaseFile, path: str | None, digest: str) -> list[str]:
         found: list[str] = []

@@ -14,7 +14,6 @@ if TYPE_CHECKING:
     from carina.case.save_mark import SaveMark
     from carina.case.stored_state import Moment
     from carina.disk import Placement
-    from carina.session.engines import Cancel, Progress
     from carina.session.scene.shown_case import ShownCase
     from carina.session.store.find_scan import CaseScans
     from carina.volume import Volume
@@ -118,9 +117,11 @@ class CaseFileFunctions:
     """``write(path, case, ct_place, save_mark, placement)`` writes a case from memory as one whole file."""
     digest: Callable[[Volume], str]
     """Returns the digest that identifies a CT."""
-    open_ct: Callable[[str, Progress, Cancel], Volume] | None = None
-    """``open_ct(path, progress, cancel)`` opens a CT, from the cache if the CT was opened before; None without a
-    cache."""
+    open_ct: Callable[..., Volume] | None = None
+    """``open_ct(path, progress, cancel, series=None)`` opens a CT, from the cache if the CT was opened before.
+
+    None without a cache.
+    """
     close: Callable[[], None] = _nothing
     """Closes the cache of CTs."""
     picture: Callable[[ShownCase], bytes] | None = None

@@ -30,6 +30,7 @@ from carina.track.find.chest_size import thread_confidence
 from carina.track.find.followed_tips import NOTHING_BEYOND, SOFT_KERNEL, STOPPED
 from carina.track.find.given_start import GivenStart
 from carina.track.find.growth import doubts_of_given, given_lumen, grow
+from carina.track.find.interpolated_slices import with_interpolated_note
 from carina.track.find.mask_doubts import unnamed_where_doubted, with_mask_doubts
 from carina.track.find.mucus_plugs import find_filled
 from carina.track.find.result import Airways
@@ -334,6 +335,8 @@ def _find_in_grid(
     # The notes of the tree state that it is unlike a human tree, its size is not calibrated, or thick slices hide
     # airways.
     badges += tree.notes
+    tree, interpolated = with_interpolated_note(tree, grid.ct)
+    badges += [] if interpolated is None else [interpolated]
     tree = dataclasses.replace(tree, notes=tuple(badges))
     tracker.set_branches(tree.branches, [row["nodes"] for row in rows])
     if core.num_settled < core.num_nodes:

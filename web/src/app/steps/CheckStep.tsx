@@ -1,7 +1,7 @@
 import { keyOf, WINDOWS } from "../../input/keymap";
 import { greyWindow } from "../../state/app-state";
 import { findingsOf } from "../../state/badges";
-import { sentence, windowText } from "../../state/format";
+import { sentence, seriesText, windowText } from "../../state/format";
 import type { CaseNote } from "../../wire/messages";
 import { useApp, useStation } from "../context";
 import { Act, Choice } from "../controls";
@@ -104,8 +104,19 @@ export function CheckStep() {
           <ul className="quiet-list">
             {info.other_series.map((series) => (
               <li key={series.key}>
-                {series.description || series.modality}, {series.num_slices} slices
-                {series.refused === null ? "" : ` (refused: ${series.refused})`}
+                {seriesText(series)}
+                {series.refused === null ? (
+                  <>
+                    {" "}
+                    <Act
+                      label="Open"
+                      words={`Open series ${series.key} instead; the present case stays in the list`}
+                      onPress={() => station.send({ type: "open_series", key: series.key })}
+                    />
+                  </>
+                ) : (
+                  ` (refused: ${series.refused})`
+                )}
               </li>
             ))}
           </ul>
