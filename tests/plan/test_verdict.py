@@ -293,7 +293,7 @@ def test_scope_points_at_the_target_only_if_the_smallest_target_within_its_error
 
 
 def with_lumen(plan: Plan, points: np.ndarray, measured_mm: float, error_mm: float) -> Plan:
-    """Return a plan whose lumen is measured with a diameter, although the segmented lumen has the radius of the tube."""
+    """Return a plan whose lumen is measured with a diameter; the segmented lumen has the radius of the tube."""
     num = len(points)
     lumen = MeasuredLumen(
         points,

@@ -34,7 +34,7 @@ from carina.plan.verdict.checks import (
     length_check,
 )
 from carina.plan.verdict.drive import DrivenRoute, MoveRecorder
-from carina.plan.verdict.drive_aim import ENOUGH, aim_drive
+from carina.plan.verdict.drive_aim import ENOUGH, WITHDRAWALS_MM, aim_drive
 from carina.plan.verdict.drive_route import DriveWay
 from carina.plan.verdict.drive_search import EFFORT, condense_drive, place_at_start, search_drive
 from carina.plan.verdict.lever import lever_check
@@ -73,7 +73,7 @@ A small share suffices, because the moves of the drive that arrived are tried fi
 ERROR_SHARE = NormalDist().inv_cdf(SURE) / NormalDist().inv_cdf(0.95)
 """Factor that converts the 90 % error of a diameter to the error that 10 % of true diameters exceed downwards."""
 MIN_SCALE = 0.1
-NARROW_EFFORT = 0.3
+NARROW_EFFORT = 0.15
 """Effort of the search for a drive in the narrowest lumen within the errors, as a share of the first search's effort.
 
 A small share suffices, because the moves of the drive that arrived are tried first.
@@ -370,15 +370,22 @@ class RouteJudge:
         try:
             recorder = MoveRecorder(place_at_start(way, wall, scope))
             recorder.repeat(driven.moves)
-            tip = recorder.state.pose.lps_from_camera
-            is_in_route = way.holds(tip[:3, 3], way.nearest(tip[:3, 3], way.park_mm)[0])
-            if is_in_route and self._aimed_share(tip[:3, 3], tip[:3, 2]) >= POINTS:
+            if self._points_from(way, recorder.state.pose.lps_from_camera):
                 return True
             effort = NARROW_EFFORT * self._effort
             found = search_drive(way, wall, scope, effort=effort, cancel=self._is_cancelled)
         except UsageError:
             return False
-        return found.arrived and aim_drive(way, wall, scope, found, self._aimed_share).share >= POINTS
+        # A drive that stops just before the end of the route suffices if it points at the target.
+        if self._way.from_origin_mm(self._way.park_mm) - found.stopped_mm > max(WITHDRAWALS_MM):
+            return False
+        return self._points_from(way, aim_drive(way, wall, scope, found, self._aimed_share).lps_from_tip)
+
+    def _points_from(self, way: DriveWay, lps_from_tip: NDArray[np.float64]) -> bool:
+        """Return whether a tip is in the lumen of a route and surely points at the target."""
+        tip, forward = lps_from_tip[:3, 3], lps_from_tip[:3, 2]
+        along_mm = float(way.cumulative_mm[int(np.argmin(np.linalg.norm(way.points - tip, axis=1)))])
+        return way.holds(tip, along_mm) and self._aimed_share(tip, forward) >= POINTS
 
     @staticmethod
     def _flexes_with_tool(scope: ScopePreset, driven: DrivenRoute, loss_deg: float) -> bool:
