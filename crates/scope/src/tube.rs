@@ -5,7 +5,7 @@
 
 use std::sync::Arc;
 
-use carina_grid::{dot, length};
+use carina_grid::dot;
 
 use crate::ScopeError;
 
@@ -25,10 +25,21 @@ struct Part {
 }
 
 impl Part {
-    fn distance_mm(&self, p: [f64; 3]) -> f64 {
+    /// Return the larger of the distance to the wall of this part and a lower limit.
+    fn at_least(&self, p: [f64; 3], limit_mm: f64) -> f64 {
+        // A part whose largest radius is below the limit, or that is too far away, needs no square root.
+        let spare = self.radius + self.more.max(0.0) - limit_mm;
+        if spare <= 0.0 {
+            return limit_mm;
+        }
         let off: [f64; 3] = std::array::from_fn(|a| p[a] - self.from[a]);
         let t = (dot(off, self.along) * self.per_square).clamp(0.0, 1.0);
-        self.radius + t * self.more - length(std::array::from_fn(|a| off[a] - t * self.along[a]))
+        let away: [f64; 3] = std::array::from_fn(|a| off[a] - t * self.along[a]);
+        let square = dot(away, away);
+        if square >= spare * spare {
+            return limit_mm;
+        }
+        (self.radius + t * self.more - libm::sqrt(square)).max(limit_mm)
     }
 }
 
@@ -108,12 +119,13 @@ impl Tube {
         })
     }
 
-    /// Return the distance from a point in a cell to the tube's wall, positive inside; `None` far from the tube.
-    pub(crate) fn distance_mm(&self, cell: usize, p: [f64; 3]) -> Option<f64> {
+    /// Return the larger of the distance from a point in a cell to the tube's wall, and a lower limit.
+    pub(crate) fn at_least(&self, cell: usize, p: [f64; 3], limit_mm: f64) -> f64 {
         self.near[self.first[cell] as usize..self.first[cell + 1] as usize]
             .iter()
-            .map(|&n| self.parts[n as usize].distance_mm(p))
-            .reduce(f64::max)
+            .fold(limit_mm, |best, &n| {
+                self.parts[n as usize].at_least(p, best)
+            })
     }
 
     /// Call `take` with the bytes of each part of the tube.

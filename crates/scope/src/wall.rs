@@ -309,9 +309,7 @@ impl WallField {
         let n = (b[2] * self.num_bricks[1] + b[1]) * self.num_bricks[0] + b[0];
         let sampled = self.sampled_mm(n, cell, b, share);
         match &self.tube {
-            Some(tube) => tube
-                .distance_mm(n, p_lps)
-                .map_or(sampled, |mm| sampled.max(mm)),
+            Some(tube) => tube.at_least(n, p_lps, sampled),
             None => sampled,
         }
     }

@@ -379,13 +379,17 @@ class RouteJudge:
         # A drive that stops just before the end of the route suffices if it points at the target.
         if self._way.from_origin_mm(self._way.park_mm) - found.stopped_mm > max(WITHDRAWALS_MM):
             return False
-        return self._points_from(way, aim_drive(way, wall, scope, found, self._aimed_share).lps_from_tip)
+        return self._points_from(way, aim_drive(way, wall, scope, found, self._hit_share).lps_from_tip)
 
     def _points_from(self, way: DriveWay, lps_from_tip: NDArray[np.float64]) -> bool:
-        """Return whether a tip is in the lumen of a route and surely points at the target."""
+        """Return whether a tip is in the lumen of a route and at least half of its needles hit the target.
+
+        The target has its measured size: that the lumen is at its narrowest and the target at its smallest is too
+        unlikely to be required together.
+        """
         tip, forward = lps_from_tip[:3, 3], lps_from_tip[:3, 2]
         along_mm = float(way.cumulative_mm[int(np.argmin(np.linalg.norm(way.points - tip, axis=1)))])
-        return way.holds(tip, along_mm) and self._aimed_share(tip, forward) >= POINTS
+        return way.holds(tip, along_mm) and self._hit_share(tip, forward) >= POINTS
 
     @staticmethod
     def _flexes_with_tool(scope: ScopePreset, driven: DrivenRoute, loss_deg: float) -> bool:
