@@ -227,6 +227,7 @@ def test_flight_controls_measure_distances_from_the_same_origin_as_the_plan(serv
     assert float(slider.input_value()) == pytest.approx(end_mm, abs=0.11)
     workstation.picture("origin-end")
     page.get_by_role("button", name="Rehearse", exact=True).click()
+    workstation.wait_for("!document.querySelector('[data-testid=fits]').innerText.startsWith('not known')")
     fits = page.get_by_test_id("fits").inner_text()
     assert "past the main carina" in fits or "above the main carina" in fits
     workstation.picture("origin-rehearse")

@@ -16,9 +16,11 @@ from nodules import ellipsoid
 from carina.errors import CancelledError, UsageError
 from carina.plan import Plan, Verdict, judge_pairs, judge_scope, judge_scopes, tool
 from carina.plan.movement.target_movement import TargetMovement
-from carina.plan.routes.last_leg import LastLeg
+from carina.plan.routes.last_leg import LastLeg, edge_on_needle_mm
 from carina.plan.routes.main_carina import ROOT
+from carina.plan.routes.measured_lumen import MeasuredLumen
 from carina.plan.routes.plan_route import PlannedRoute
+from carina.plan.routes.ranking import MIN_SPARE_MM
 from carina.plan.routes.route_width import RouteWidth
 from carina.plan.verdict import lever
 from carina.plan.verdict.checks import bend_check
@@ -288,6 +290,75 @@ def test_scope_points_at_the_target_only_if_the_smallest_target_within_its_error
     assert pointing.share > 0.5 and "as small as its error allows" in pointing.words
     exact = judge_scope(tree, uncertain, field, scope(), errors=False)
     assert check(exact, "pointing").answer == "yes"
+
+
+def with_lumen(plan: Plan, points: np.ndarray, measured_mm: float, error_mm: float) -> Plan:
+    """Return a plan whose lumen is measured with a diameter; the segmented lumen has the radius of the tube."""
+    num = len(points)
+    lumen = MeasuredLumen(
+        points,
+        np.full(num, RADIUS_MM),
+        np.full(num, 0.5 * measured_mm - RADIUS_MM),
+        np.full(num, error_mm),
+    )
+    (route,) = plan.routes
+    width = dataclasses.replace(route.width, mm=measured_mm, error_mm=error_mm)
+    return dataclasses.replace(plan, routes=(dataclasses.replace(route, lumen=lumen, width=width),))
+
+
+def test_scope_too_wide_for_a_bend_does_not_reach_by_the_drive_of_a_thinner_one() -> None:
+    # A rigid tip of 10 mm in a bend with a radius of 15 mm needs a play of 10^2 / (8 x 15) = 0.83 mm.
+    tree, field, points = tube(80.0, 15.0)
+    plan = plan_in(points, error_mm=0.05)
+    wide = scope(tip_mm=3.4, rigid_tip_mm=10.0, bending_mm=(25.0, 25.0), flexion_deg=(210.0, 130.0))
+    assert check(judged(tree, plan, field, wide), "diameter").answer == "yes"
+    thin = dataclasses.replace(wide, tip_mm=2.9)
+    exact = with_lumen(plan, points, 2.0 * RADIUS_MM, 0.05)
+    assert judge_scope(tree, exact, field, thin).outcome == "reaches"
+    unknown, known = (judge_scope(tree, one, field, wide) for one in (plan, exact))
+    # In a lumen that was not measured, a thinner scope is driven, which shows nothing for this scope.
+    assert unknown.outcome == "may reach" and "driven as a scope of 2.7 mm" in check(unknown, "drive").basis
+    assert known.outcome in {"may reach", "does not reach"} and check(known, "drive").answer != "yes"
+
+
+def test_scope_is_driven_with_its_own_width_in_the_measured_lumen() -> None:
+    tree, field, points = tube(30.0, 80.0)
+    # The segmented lumen is 4.0 mm wide, the measured one 5.0 mm; the scope needs 4.3 mm with its excess.
+    wide = scope(tip_mm=3.9)
+    plan = with_lumen(plan_in(points), points, 5.0, 0.4)
+    found = judge_scope(tree, plan, field, wide)
+    assert found.outcome == "reaches", found.words
+    assert "driven as" not in check(found, "drive").basis
+    alone = judge_scope(tree, plan_in(points), field, wide)
+    assert alone.outcome != "reaches"
+
+
+def test_drive_must_also_arrive_in_the_narrowest_lumen_within_the_error() -> None:
+    tree, field, points = tube(80.0, 15.0)
+    near = scope(tip_mm=3.3, rigid_tip_mm=10.0, bending_mm=(25.0, 25.0), flexion_deg=(210.0, 130.0))
+    sure, unsure = (
+        judge_scope(tree, with_lumen(plan_in(points), points, 4.6, error_mm), field, near) for error_mm in (0.1, 0.9)
+    )
+    assert sure.outcome == "reaches", sure.words
+    assert check(unsure, "diameter").answer == "yes" and unsure.outcome == "may reach"
+    assert "as narrow as the error of its diameter allows" in check(unsure, "drive").words
+
+
+def test_scope_is_aimed_until_its_tool_surely_reaches_the_target() -> None:
+    tree, field, points = tube(60.0)
+    plan = plan_in(points, park=-1)
+    first = judge_scope(tree, plan, field, scope())
+    assert first.outcome == "reaches"
+
+    def spare_mm(found: Verdict, reach_mm: float) -> float:
+        tip, end = (np.array(one) for one in found.needle_lps)
+        return reach_mm - edge_on_needle_mm(plan.nodule, tip, end, reach_mm)
+
+    # With this tool the pose of the first drive only just reaches the target.
+    reach_mm = plan.tool.reach_mm - spare_mm(first, plan.tool.reach_mm) + 0.5
+    short = dataclasses.replace(tool("needle-21g"), name="short", reach_mm=reach_mm)
+    found = judge_scope(tree, dataclasses.replace(plan, tool=short), field, scope())
+    assert found.outcome == "reaches" and spare_mm(found, reach_mm) >= MIN_SPARE_MM
 
 
 def test_longer_needle_throw_is_proposed_only_if_it_hits_from_the_tip_pose_of_the_drive() -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from carina.errors import UsageError
 from carina.scopes import WallField
 
 STEP_MM = 0.4
@@ -67,3 +68,27 @@ def test_wall_fields_with_equal_distances_are_stored_as_equal_bytes() -> None:
     assert wall.to_bytes() == tubes(2.0, axis, middle).to_bytes()
     assert wall.to_bytes() != tubes(2.1, axis, middle).to_bytes()
     assert len(wall.to_bytes()) > wall.num_bytes
+
+
+def test_tube_has_its_full_radius_on_its_axis_and_never_narrows_the_lumen() -> None:
+    axis, middle = np.array([0.0, 0.0, 1.0]), np.array([0.2, 0.2, 0.0])
+    wall = tubes(1.5, axis, middle)
+    ends = middle + np.array([[0.0, 0.0, -1.0], [0.0, 0.0, 1.0]])
+    # Interpolation cuts off the peak of the sampled distance on the axis.
+    assert wall.distance_mm(middle)[0] < 1.4
+    wide = wall.with_tube(ends, [1.6, 1.8])
+    assert wide.distance_mm([middle, middle + [0.5, 0.0, 0.0]]) == pytest.approx([1.7, 1.2], abs=0.01)
+    around = middle + np.random.default_rng(3).uniform(-1.5, 1.5, size=(500, 3))
+    assert (wide.distance_mm(around) >= wall.distance_mm(around)).all()
+    thin = wall.with_tube(ends, [0.3, 0.3])
+    assert thin.distance_mm(around[:, :]) == pytest.approx(wall.distance_mm(around), abs=0.25)
+    assert wide.digest() not in {wall.digest(), thin.digest()}
+    with pytest.raises(UsageError, match="tube"):
+        wide.to_bytes()
+
+
+@pytest.mark.parametrize("radius_mm", [[1.0], [1.0, 0.0], [1.0, np.nan], [1.0, 1.0, 1.0]])
+def test_tube_with_a_wrong_radius_is_refused(radius_mm: list[float]) -> None:
+    wall = tubes(1.5, np.array([0.0, 0.0, 1.0]), np.zeros(3))
+    with pytest.raises(UsageError):
+        wall.with_tube([(0.0, 0.0, 0.0), (0.0, 0.0, 1.0)], radius_mm)

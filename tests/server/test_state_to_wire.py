@@ -14,7 +14,7 @@ from carina.case.routes import route_to_branch
 from carina.plan import DistanceOrigin
 from carina.plan.routes.main_carina import RouteScale
 from carina.plan.routes.route_width import widths_on_the_way
-from carina.scopes import scope_preset
+from carina.scopes import scope_preset, scope_presets
 from carina.server.to_wire.session import route_message, start_message, state_message
 from carina.track import AirwayTree, Branch
 from carina.volume import Note
@@ -68,6 +68,7 @@ def test_route_message_has_the_same_narrowest_diameter_as_plans():
     planned = widths_on_the_way(tree, None, measures, 1.0)[2][-1]
     assert sent is not None and sent.narrowest_mm is not None and sent.narrowest_mm < 6.0
     assert sent.narrowest_mm == pytest.approx(planned.mm, abs=1e-3)
+    assert {one.scope: one.fit for one in sent.scope_fits} == {one.name: planned.fit(one) for one in scope_presets()}
     assert sent.narrowest_error_mm == pytest.approx(planned.error_mm, abs=1e-3)
     assert sent.narrowest_at_mm == pytest.approx(planned.at_mm, abs=1e-2)
 

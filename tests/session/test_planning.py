@@ -605,6 +605,23 @@ def test_target_in_an_airway_and_path_to_the_cursor_are_measured_from_the_main_c
         assert message.targets[-1].from_carina_mm == pytest.approx(past_mm, abs=0.01)
 
 
+def test_distances_of_target_and_cursor_agree_at_forks(case: carina.Case, airways: carina.Airways) -> None:
+    tree, tracker = airways.tree, airways.tracker
+    rng = np.random.default_rng(5)
+    forks = [branch.points[-1] for branch in tree.branches if branch.children]
+    places = np.concatenate([fork + rng.uniform(-6.0, 6.0, size=(40, 3)) for fork in forks])
+    places = places[tracker.inside(places)]
+    # At these places, the nearest centreline is that of another branch than the one to whose lumen the place belongs.
+    doubtful = [place for place in places if tree.nearest_branch(place)[0].id != tracker.branch_at(place)]
+    assert len(doubtful) >= 5
+    for place in doubtful[:5]:
+        lps = tuple(float(v) for v in place)
+        case.do(AddTarget(lps))
+        target = case.state.document.targets[-1]
+        past_mm = case.state.target_places_mm[target.target_id]
+        assert case.ask(LivePathTo(lps)).from_carina_mm == pytest.approx(past_mm, abs=0.1)
+
+
 def test_movement_measured_from_a_second_ct_replaces_the_default_and_is_stored(chest: Phantom, tmp_path: Path) -> None:
     write_phantom(chest, tmp_path / "scan")
     second = write_second_ct(chest.volume, tmp_path / "second.nii.gz")

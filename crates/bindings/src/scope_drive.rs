@@ -89,6 +89,23 @@ impl PyWallField {
         .map_err(|e| watch.error(e))
     }
 
+    fn with_tube(
+        &self,
+        py: Python<'_>,
+        axis_lps: PyReadonlyArray2<'_, f64>,
+        radius_mm: Vec<f64>,
+    ) -> PyResult<Self> {
+        let axis = points(&axis_lps)?;
+        py.detach(|| self.0.with_tube(&axis, &radius_mm))
+            .map(|field| Self(Arc::new(field)))
+            .map_err(IntoPy::into_py)
+    }
+
+    #[getter]
+    fn has_tube(&self) -> bool {
+        self.0.has_tube()
+    }
+
     fn distance_mm<'py>(
         &self,
         py: Python<'py>,

@@ -17,6 +17,7 @@ mod frames;
 mod gaze;
 mod nearest;
 mod nearest_packet;
+mod tube;
 mod vector8;
 mod wall;
 mod wall_mesh;

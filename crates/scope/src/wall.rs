@@ -3,9 +3,12 @@
 //! Distances are samples on a lattice and are interpolated trilinearly. Only bricks of the lattice near the wall are
 //! stored, because a trachea and its branches fill a small part of a large box.
 
+use std::sync::Arc;
+
 use carina_grid::Affine;
 
 use crate::ScopeError;
+use crate::tube::Tube;
 
 /// Number of cells of a brick on each axis; a brick stores one more sample, so that a cell never needs two bricks.
 pub(crate) const CELLS: usize = 8;
@@ -56,10 +59,12 @@ pub struct WallField {
     /// Number of samples of the lattice along i, j, k.
     shape_ijk: [usize; 3],
     num_bricks: [usize; 3],
-    brick_at: Vec<u32>,
-    samples: Vec<f32>,
+    brick_at: Arc<Vec<u32>>,
+    samples: Arc<Vec<f32>>,
     /// Step of the finite differences in mm: half of the smallest sample spacing.
     step_mm: f64,
+    /// Tube whose inside belongs to the lumen too; its wall is not sampled.
+    tube: Option<Tube>,
 }
 
 impl WallField {
@@ -143,10 +148,38 @@ impl WallField {
             lps_from_lattice,
             shape_ijk,
             num_bricks,
-            brick_at,
-            samples,
+            brick_at: Arc::new(brick_at),
+            samples: Arc::new(samples),
             step_mm: 0.5 * spacing[0].min(spacing[1]).min(spacing[2]),
+            tube: None,
         })
+    }
+
+    /// Return a field whose lumen also contains a tube; the tube replaces an earlier one.
+    ///
+    /// The tube is the union of the balls round its axis, with radii that change linearly between the given points. Its
+    /// wall is computed, not sampled, so a narrow tube has its full radius on its axis. Parts of the tube beyond the
+    /// lattice are ignored.
+    ///
+    /// # Errors
+    ///
+    /// Returns an error if the numbers of points and radii differ, if there are fewer than two points, or if a value is
+    /// not finite or a radius is not above 0.
+    pub fn with_tube(&self, axis_lps: &[[f64; 3]], radius_mm: &[f64]) -> Result<Self, ScopeError> {
+        let cells = self.num_bricks;
+        let tube = Tube::new(axis_lps, radius_mm, cells, &|p| {
+            self.lattice_from_lps.point(p).map(|v| v / CELLS as f64)
+        })?;
+        Ok(Self {
+            tube: Some(tube),
+            ..self.clone()
+        })
+    }
+
+    /// Return whether the field contains a tube ([`WallField::with_tube`]).
+    #[must_use]
+    pub const fn has_tube(&self) -> bool {
+        self.tube.is_some()
     }
 
     /// Return the transform from the lattice of samples to patient space.
@@ -157,11 +190,13 @@ impl WallField {
 
     /// Return the memory of the stored samples in bytes.
     #[must_use]
-    pub const fn num_bytes(&self) -> usize {
+    pub fn num_bytes(&self) -> usize {
         self.samples.len() * size_of::<f32>()
     }
 
     /// Call `take` with the serialised field as successive parts; equal fields give equal bytes.
+    ///
+    /// The bytes of a field with a tube identify the field but cannot be decoded.
     pub fn for_each_part(&self, mut take: impl FnMut(&[u8])) {
         for row in self.lps_from_lattice.rows() {
             for v in row {
@@ -172,7 +207,7 @@ impl WallField {
             take(&(n as u64).to_le_bytes());
         }
         let mut piece = Vec::new();
-        for brick in &self.brick_at {
+        for brick in self.brick_at.iter() {
             piece.extend_from_slice(&brick.to_le_bytes());
         }
         take(&piece);
@@ -182,6 +217,9 @@ impl WallField {
                 piece.extend_from_slice(&v.to_le_bytes());
             }
             take(&piece);
+        }
+        if let Some(tube) = &self.tube {
+            tube.for_each_part(take);
         }
     }
 
@@ -244,9 +282,10 @@ impl WallField {
             lps_from_lattice,
             shape_ijk,
             num_bricks,
-            brick_at,
-            samples,
+            brick_at: Arc::new(brick_at),
+            samples: Arc::new(samples),
             step_mm: 0.5 * spacing[0].min(spacing[1]).min(spacing[2]),
+            tube: None,
         })
     }
 
@@ -267,7 +306,17 @@ impl WallField {
             share[a] = at[a] - cell[a] as f64;
         }
         let b = cell.map(|c| c / CELLS);
-        let brick = self.brick_at[(b[2] * self.num_bricks[1] + b[1]) * self.num_bricks[0] + b[0]];
+        let n = (b[2] * self.num_bricks[1] + b[1]) * self.num_bricks[0] + b[0];
+        let sampled = self.sampled_mm(n, cell, b, share);
+        match &self.tube {
+            Some(tube) => tube.at_least(n, p_lps, sampled),
+            None => sampled,
+        }
+    }
+
+    /// Return the interpolated distance in brick `n`, whose place among the bricks is `b`, at a share of a cell.
+    fn sampled_mm(&self, n: usize, cell: [usize; 3], b: [usize; 3], share: [f64; 3]) -> f64 {
+        let brick = self.brick_at[n];
         if brick >= FAR_INSIDE {
             return if brick == FAR_INSIDE {
                 INSIDE_MM
@@ -354,6 +403,59 @@ mod tests {
         assert!(WallField::from_distances(&[1.0; 7], [2, 2, 2], &Affine::IDENTITY).is_err());
         assert!(WallField::from_distances(&[f32::NAN; 8], [2, 2, 2], &Affine::IDENTITY).is_err());
         assert!(WallField::from_distances(&[-9.0; 8], [2, 2, 2], &Affine::IDENTITY).is_err());
+    }
+
+    #[test]
+    fn a_tube_along_the_axis_widens_the_lumen_to_its_radius() {
+        let field = tube(1.5);
+        let axis: Vec<[f64; 3]> = (0..25).map(|n| [0.0, 0.0, -12.0 + f64::from(n)]).collect();
+        let radii: Vec<f64> = (0..25).map(|n| 1.7 + 0.01 * f64::from(n)).collect();
+        let wide = field.with_tube(&axis, &radii).unwrap();
+        assert!(wide.has_tube() && !field.has_tube());
+        for (x, y, z) in [
+            (0.0, 0.0, 0.0),
+            (0.9, -0.4, 3.3),
+            (1.4, 0.5, -7.6),
+            (1.9, 0.7, 0.4),
+        ] {
+            let truth = 1.82 + 0.01 * z - libm::hypot(x, y);
+            let found = wide.distance_mm([x, y, z]);
+            assert!((found - truth).abs() < 1e-3, "{found} {truth}");
+        }
+        // The axis of the sampled tube has lost a part of its peak.
+        assert!(field.distance_mm([0.1, 0.1, 0.3]) < 1.45);
+        // Beyond the end of the tube the field is unchanged.
+        for p in [[0.3, 0.2, -18.5], [0.3, 0.2, 17.0]] {
+            assert!((wide.distance_mm(p) - field.distance_mm(p)).abs() < 1e-12);
+        }
+        assert!(bytes_of(&wide) != bytes_of(&field));
+    }
+
+    #[test]
+    fn a_tube_never_makes_the_lumen_narrower() {
+        let field = tube(4.0);
+        let narrow = field
+            .with_tube(&[[0.0, 0.0, -9.0], [0.0, 0.0, 9.0]], &[0.8, 0.8])
+            .unwrap();
+        for n in 0..200 {
+            let p = [0.02 * f64::from(n) - 2.0, 0.7, 0.08 * f64::from(n) - 8.0];
+            assert_eq!(narrow.distance_mm(p), field.distance_mm(p));
+        }
+    }
+
+    #[test]
+    fn a_tube_of_wrong_sizes_is_rejected() {
+        let field = tube(4.0);
+        let ends = [[0.0, 0.0, -9.0], [0.0, 0.0, 9.0]];
+        assert!(field.with_tube(&ends, &[1.0]).is_err());
+        assert!(field.with_tube(&ends[..1], &[1.0]).is_err());
+        assert!(field.with_tube(&ends, &[1.0, 0.0]).is_err());
+        assert!(field.with_tube(&ends, &[1.0, f64::NAN]).is_err());
+        assert!(
+            field
+                .with_tube(&[[f64::INFINITY; 3], ends[1]], &[1.0, 1.0])
+                .is_err()
+        );
     }
 
     fn bytes_of(field: &WallField) -> Vec<u8> {

@@ -323,7 +323,8 @@ def _after_drive(draft: DraftPlan, route: PlannedRoute, judge: RouteJudge, verdi
             leg = replace(leg, hit_share_moved=0.0)
         depth, not_deep = draft.judge.depth_limit(leg)
     outlook = worst(OUTLOOKS.get(verdict.outcome, "may reach"), depth, "may reach" if route.doubts else "reaches")
-    limits = *(check.words for check in verdict.checks if check.answer != "yes"), *not_deep
+    limits = tuple(check.words for check in verdict.checks if check.answer != "yes")
+    limits += tuple(words for words in not_deep if not any(words in known for known in limits))
     parts = draft.judge.parts(leg, route.narrowest_mm, draft.plan.nodule)
     driven = replace(
         route,

@@ -23,7 +23,7 @@ from carina.argument_checks import (
 )
 from carina.display import one_line
 from carina.display.progress import ProgressChoice, progress_function, share_function, shows_progress
-from carina.errors import refuse_pickle
+from carina.errors import UsageError, refuse_pickle
 
 STEP_MM = 0.6
 """Distance in mm from a point to its probes; larger than the diagonal of a square of grid samples."""
@@ -147,11 +147,40 @@ class WallField:
         """Memory that the samples of the field occupy, bytes."""
         return self.core.num_bytes
 
+    @check_arguments(axis_lps=coordinates(COORDINATE_MM), radius_mm=array_of(None))
+    def with_tube(self, axis_lps: ArrayLike, radius_mm: ArrayLike) -> WallField:
+        """Return a field whose lumen also contains a tube; the tube replaces one of an earlier call.
+
+        The wall of the tube is computed, not sampled, so a narrow tube has its full radius on its axis. The samples are
+        shared with this field.
+
+        Parameters
+        ----------
+        axis_lps
+            (n, 3) points of the tube's axis, LPS mm, two or more.
+        radius_mm
+            (n,) radii above 0 at the points; they change linearly in between.
+
+        Raises
+        ------
+        UsageError
+            If the numbers of points and radii differ, or a value is out of range (code ``scope.wall``).
+        """
+        axis = np.ascontiguousarray(np.atleast_2d(np.asarray(axis_lps, dtype=np.float64)))
+        return WallField(self.core.with_tube(axis, np.asarray(radius_mm, dtype=np.float64).tolist()))
+
     def to_bytes(self) -> bytes:
         """Return grid and samples as bytes (a copy), for compiled modules of other packages.
 
         The bytes are not a file format: only a package of the same version reads them.
+
+        Raises
+        ------
+        UsageError
+            If the field has a tube (code ``scope.wall``).
         """
+        if self.core.has_tube:
+            raise UsageError("to_bytes: a wall with a tube has no bytes; use the wall without it", code="scope.wall")
         return self.core.to_bytes()
 
     def digest(self) -> str:

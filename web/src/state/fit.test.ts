@@ -1,14 +1,21 @@
 import { describe, expect, it } from "vitest";
 import type { Scope } from "../wire/messages";
-import { comesFarthest, firstTooNarrow, thatPass } from "./fit";
+import { fitOf, reachText, thatFit } from "./fit";
 
-const ROUTE = { wall_mm: [9, 5, 2.2, 3, 1.6], cumulative_mm: [0, 100, 200, 210, 260] };
+const ROUTE = {
+  scope_fits: [
+    { scope: "thick", fit: "does not fit" },
+    { scope: "thin", fit: "may fit" },
+    { scope: "fine", fit: "fits" },
+    { scope: "finest", fit: "fits" },
+  ],
+} as const;
 
-const scope = (name: string, tip_mm: number, fit_mm = tip_mm + 0.4): Scope => ({
+const scope = (name: string, tip_mm: number): Scope => ({
   name,
   title: name,
   tip_mm,
-  fit_mm,
+  fit_mm: tip_mm + 0.4,
   channel_mm: null,
   fov_deg: null,
   view_up_deg: 0,
@@ -19,27 +26,20 @@ const FINE = scope("fine", 2.8);
 const FINEST = scope("finest", 2.2);
 
 describe("fit of an instrument on a route", () => {
-  it("firstTooNarrow returns the first place below the needed diameter, although the lumen widens again beyond it.", () => {
-    expect(firstTooNarrow(ROUTE, 6)).toEqual({ pathMm: 200, diameterMm: 4.4 });
-    expect(firstTooNarrow(ROUTE, 4.4)).toEqual({ pathMm: 260, diameterMm: 3.2 });
-    expect(firstTooNarrow(ROUTE, 3.2)).toBeNull();
+  it("fitOf returns the stated fit, and null for an unmeasured route or an unknown instrument.", () => {
+    expect(fitOf(ROUTE, "thin")).toBe("may fit");
+    expect(fitOf(ROUTE, "other")).toBeNull();
+    expect(fitOf({ scope_fits: [] }, "thin")).toBeNull();
   });
 
-  it("thatPass returns the instruments that reach the end, thickest first.", () => {
-    expect(thatPass(ROUTE, [FINEST, THICK, FINE, THIN])).toEqual([FINE, FINEST]);
-    expect(thatPass(ROUTE, [THICK, THIN])).toEqual([]);
+  it("thatFit returns the instruments that certainly pass, thickest first.", () => {
+    expect(thatFit(ROUTE, [FINEST, THICK, FINE, THIN])).toEqual([FINE, FINEST]);
+    expect(thatFit(ROUTE, [THICK, THIN])).toEqual([]);
   });
 
-  it("The needed diameter is that of fit_mm and not the nominal tip diameter.", () => {
-    // The lumen of this route is 3.2 mm wide at its narrowest place.
-    const nominal = scope("nominal", 3.2);
-    const thickTube = scope("thick tube", 2, 3.6);
-    expect(thatPass(ROUTE, [nominal, thickTube])).toEqual([]);
-    expect(comesFarthest(ROUTE, [THICK, nominal])).toEqual({ scope: nominal, pathMm: 260 });
-  });
-
-  it("comesFarthest returns the instrument that advances farthest if none reaches the end, and null for no instruments.", () => {
-    expect(comesFarthest(ROUTE, [THICK, THIN])).toEqual({ scope: THIN, pathMm: 260 });
-    expect(comesFarthest(ROUTE, [])).toBeNull();
+  it("reachText states the end only for an instrument that certainly passes.", () => {
+    expect(reachText("fits", "90 mm", "60 mm")).toBe("the end, 90 mm");
+    expect(reachText("may fit", "90 mm", "60 mm")).toBe("maybe the end, 90 mm");
+    expect(reachText("does not fit", "90 mm", "60 mm")).toBe("no farther than 60 mm");
   });
 });

@@ -1,35 +1,23 @@
-/**
- * Fit of an instrument on a route: the largest sphere in the lumen is compared with the diameter that the instrument
- * needs.
- */
+/** Fit of instruments on a route: whether they pass its narrowest measured place, as plans and verdicts state it. */
 
-import type { RouteInfo, Scope } from "../wire/messages";
+import type { RouteInfo, Scope, ScopeFit } from "../wire/messages";
 
-type Widths = Pick<RouteInfo, "wall_mm" | "cumulative_mm">;
+type Fits = Pick<RouteInfo, "scope_fits">;
 
-/**
- * Return the first place of the route where the lumen is narrower than needed (`Scope.fit_mm`); null if the instrument
- * reaches the end.
- */
-export function firstTooNarrow(route: Widths, neededMm: number): { pathMm: number; diameterMm: number } | null {
-  const index = route.wall_mm.findIndex((ball) => 2 * ball < neededMm);
-  if (index < 0) return null;
-  return { pathMm: route.cumulative_mm[index] ?? 0, diameterMm: 2 * (route.wall_mm[index] ?? 0) };
+/** Return whether an instrument passes the narrowest place of a route; null until the airways are measured. */
+export function fitOf(route: Fits, scopeName: string): ScopeFit["fit"] | null {
+  return route.scope_fits.find((one) => one.scope === scopeName)?.fit ?? null;
 }
 
-/** Return the instruments that reach the route's end, thickest first, because the thickest has the widest channel. */
-export function thatPass(route: Widths, scopes: readonly Scope[]): Scope[] {
+/** Return the instruments that pass the narrowest place, thickest first, because the thickest has the widest channel. */
+export function thatFit(route: Fits, scopes: readonly Scope[]): Scope[] {
   return scopes
-    .filter((scope) => firstTooNarrow(route, scope.fit_mm) === null)
+    .filter((scope) => fitOf(route, scope.name) === "fits")
     .sort((a, b) => b.tip_mm - a.tip_mm || a.title.localeCompare(b.title));
 }
 
-/** Return the instrument that advances farthest among those that do not reach the end; null without instruments. */
-export function comesFarthest(route: Widths, scopes: readonly Scope[]): { scope: Scope; pathMm: number } | null {
-  let best: { scope: Scope; pathMm: number } | null = null;
-  for (const scope of scopes) {
-    const pathMm = firstTooNarrow(route, scope.fit_mm)?.pathMm ?? Number.POSITIVE_INFINITY;
-    if (best === null || pathMm > best.pathMm) best = { scope, pathMm };
-  }
-  return best;
+/** Text of a fit, for the row *Scope reaches*; `end` and `narrowest` are the places as text. */
+export function reachText(fit: ScopeFit["fit"], end: string, narrowest: string): string {
+  if (fit === "fits") return `the end, ${end}`;
+  return fit === "may fit" ? `maybe the end, ${end}` : `no farther than ${narrowest}`;
 }

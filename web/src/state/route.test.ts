@@ -45,6 +45,7 @@ const ROUTE: RouteInfo = {
   narrowest_mm: null,
   narrowest_error_mm: null,
   narrowest_at_mm: null,
+  scope_fits: [],
   origin: { kind: "root", along_mm: 0 },
   centreline_mm: [0, 10, 30, 40],
   needle: null,

@@ -1633,6 +1633,12 @@ export interface NeedleLine {
   readonly to_target_mm: number;
 }
 
+/** Whether an instrument passes the narrowest measured place of a route. */
+export interface ScopeFit {
+  readonly scope: string;
+  readonly fit: "does not fit" | "fits" | "may fit";
+}
+
 /** The current route; its point lists are parallel and go from the root to the tip. */
 export interface RouteInfo {
   readonly length_mm: number;
@@ -1655,6 +1661,7 @@ export interface RouteInfo {
   readonly narrowest_mm: number | null;
   readonly narrowest_error_mm: number | null;
   readonly narrowest_at_mm: number | null;
+  readonly scope_fits: readonly ScopeFit[];
   readonly origin: RouteOrigin;
   readonly centreline_mm: readonly number[];
 }

@@ -49,7 +49,8 @@ SPARE_MM, SLIMMER_MM, THINNEST_MM = 0.2, 0.8, 0.6
 """Limits in mm for the thinner substitute of a scope: least play, reduction of the diameter, least diameter.
 
 The substitute represents a scope about as wide as the airway, because the width is a separate criterion of a route
-(`carina.plan.routes.ranking`).
+(`carina.plan.routes.ranking`). Its directions select and order positions, and give the outlook of a draft without
+drives; a driven route is judged by the scope's own width.
 """
 
 

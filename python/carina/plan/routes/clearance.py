@@ -37,6 +37,11 @@ SMOOTH_MM = 1.0
 """Half the length in mm over which the widths along a branch are averaged to reduce noise of the wall."""
 
 
+def middle_line(branch: Branch, wall: WallField) -> Points:
+    """Return for each point of a branch the middle of the largest ball near the point that fits the lumen, (n, 3)."""
+    return branch.points.copy() if len(branch.points) < 2 else _middle(branch.points, wall)[0]
+
+
 def ball_diameters_mm(branch: Branch, wall: WallField | None) -> Points:
     """Return for each point of a branch the diameter of the largest ball near the point that fits the lumen, (n,) mm.
 
@@ -57,6 +62,34 @@ def ball_diameters_mm(branch: Branch, wall: WallField | None) -> Points:
     if wall is None or len(branch.points) < 2:
         return own
     points = branch.points
+    middle, best, ring = _middle(points, wall)
+    # The distance is measured half-way to the wall in all directions; towards the nearest wall it decreases linearly.
+    off = 0.5 * np.maximum(best, 0.0) + HALF_SAMPLE_MM
+    tried = middle + off[:, None] * ring
+    nearest = (wall.distance_mm(tried.reshape(-1, 3)).reshape(NUM_ROUND, -1) + off).min(axis=0)
+    ball = 2.0 * (np.maximum(nearest, best) + INWARDS_MM)
+    found = np.where(best > 0.0, np.minimum(ball, 2.0 * branch.radius), own)
+    along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+    near = np.abs(along[:, None] - along) <= SMOOTH_MM
+    smooth: Points = (near @ found) / near.sum(axis=1)
+    return smooth
+
+
+def _middle(points: Points, wall: WallField) -> tuple[Points, Points, Points]:
+    """Return the middles of the largest balls near points, their distances to the wall, and directions across the axis.
+
+    Parameters
+    ----------
+    points
+        (n, 3) of a centreline, two or more.
+    wall
+        Wall field of the lumen.
+
+    Returns
+    -------
+    tuple
+        (n, 3) middles, (n,) distances in mm, and (k, n, 3) unit vectors across the axis.
+    """
     ahead = points[-1] - points[0] if len(points) < 3 else np.gradient(points, axis=0)
     ahead = np.broadcast_to(ahead, points.shape)
     ahead = ahead / np.maximum(np.linalg.norm(ahead, axis=1, keepdims=True), 1e-9)
@@ -72,13 +105,4 @@ def ball_diameters_mm(branch: Branch, wall: WallField | None) -> Points:
         better = room[first, rows] > best
         middle = np.where(better[:, None], tried[first, rows], middle)
         best = np.where(better, room[first, rows], best)
-    # The distance is measured half-way to the wall in all directions; towards the nearest wall it decreases linearly.
-    off = 0.5 * np.maximum(best, 0.0) + HALF_SAMPLE_MM
-    tried = middle + off[:, None] * ring
-    nearest = (wall.distance_mm(tried.reshape(-1, 3)).reshape(NUM_ROUND, -1) + off).min(axis=0)
-    ball = 2.0 * (np.maximum(nearest, best) + INWARDS_MM)
-    found = np.where(best > 0.0, np.minimum(ball, 2.0 * branch.radius), own)
-    along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
-    near = np.abs(along[:, None] - along) <= SMOOTH_MM
-    smooth: Points = (near @ found) / near.sum(axis=1)
-    return smooth
+    return middle, best, ring

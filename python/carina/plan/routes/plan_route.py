@@ -32,6 +32,7 @@ from carina.plan.movement.target_movement import TargetMovement
 from carina.plan.routes.attainable_directions import StandingPlace, TipDirections
 from carina.plan.routes.last_leg import LastLeg, NeedleScene, leg_as_aimed, where_it_may_have_moved, with_errors
 from carina.plan.routes.main_carina import DistanceOrigin, distance_origin
+from carina.plan.routes.measured_lumen import MeasuredLumen, measured_lumen
 from carina.plan.routes.needle_hits import NeedleErrors
 from carina.plan.routes.no_route_reasons import (
     LostAirway,
@@ -146,6 +147,8 @@ class PlannedRoute:
 
     No opening of the route is narrower than ``width``. Empty for a route that was not made by `plan_route`.
     """
+    lumen: MeasuredLumen | None = None
+    """Measured lumen along the route, in which drives are simulated; None drives in the segmented lumen."""
 
     @property
     def key(self) -> str:
@@ -519,8 +522,9 @@ def draft_plan(
         )
 
         def with_figures(route: PlannedRoute) -> PlannedRoute:
-            """Return a route with its predictors (such as the angle of its last fork) and the widths of openings."""
+            """Return a route with its predictors (angle of its last fork), widths of openings, and measured lumen."""
             at = airways.tree, route.branch_id, route.along_mm
+            lineage = airways.tree.lineage(route.branch_id)
             spacing_mm, start = max(volume.spacing_mm), route.origin
             return replace(
                 route,
@@ -528,6 +532,7 @@ def draft_plan(
                 openings=openings_of_route(
                     *at, scope=preset, wall=wall, measures=measures, spacing_mm=spacing_mm, origin=start
                 ),
+                lumen=measured_lumen(lineage, wall, measures),
             )
 
         kept = tuple(with_figures(route) for route in kept)

@@ -204,12 +204,7 @@ class Judge:
 
     def _depth(self, leg: LastLeg) -> tuple[float, str]:
         spare = self.reach_mm - leg.to_target_mm
-        words = (
-            f"the tool reaches no more than {spare:.1f} mm beyond the target's edge"
-            if spare >= 0.0
-            else f"the tool ends {-spare:.1f} mm before the target's edge"
-        )
-        return _share(spare / DEPTH_SIGMA_MM), words
+        return _share(spare / DEPTH_SIGMA_MM), depth_words(spare)
 
     def _room(self, way: Demands) -> tuple[float, str]:
         needs = f"{self.scope.title} needs {self.scope.fit_mm:.1f} mm"
@@ -256,6 +251,13 @@ def depth_rank(spare_mm: ArrayLike) -> NDArray[np.int64]:
     spare = np.asarray(spare_mm)
     found: NDArray[np.int64] = np.where(spare >= MIN_SPARE_MM, 0, np.where(spare > -MIN_SPARE_MM, 1, 2))
     return found
+
+
+def depth_words(spare_mm: float) -> str:
+    """Return the length of a tool beyond the edge of a target as text; the length is negative before the edge."""
+    if spare_mm >= 0.0:
+        return f"the tool reaches no more than {spare_mm:.1f} mm beyond the target's edge"
+    return f"the tool ends {-spare_mm:.1f} mm before the target's edge"
 
 
 def order(route: Any) -> tuple[Any, ...]:

@@ -19,10 +19,10 @@ from numpy.typing import NDArray
 
 from carina.errors import CancelledError, UsageError
 from carina.plan.instruments.tools import ONLY_BRUSH, Tool, passing_needle, tools
-from carina.plan.routes.last_leg import as_point
+from carina.plan.routes.last_leg import as_point, edge_on_needle_mm
 from carina.plan.routes.needle_hits import NeedleErrors, hit_share
 from carina.plan.routes.plan_route import Plan, PlannedRoute
-from carina.plan.routes.ranking import BARELY, POINTS
+from carina.plan.routes.ranking import BARELY, POINTS, depth_rank, depth_words
 from carina.plan.routes.route_width import SURE
 from carina.plan.targets.grow_nodule import Nodule
 from carina.plan.verdict.checks import (
@@ -33,10 +33,10 @@ from carina.plan.verdict.checks import (
     diameter_check,
     length_check,
 )
-from carina.plan.verdict.drive import DrivenRoute
-from carina.plan.verdict.drive_aim import ENOUGH, aim_drive
+from carina.plan.verdict.drive import DrivenRoute, MoveRecorder
+from carina.plan.verdict.drive_aim import ENOUGH, WITHDRAWALS_MM, aim_drive
 from carina.plan.verdict.drive_route import DriveWay
-from carina.plan.verdict.drive_search import EFFORT, condense_drive, search_drive
+from carina.plan.verdict.drive_search import EFFORT, condense_drive, place_at_start, search_drive
 from carina.plan.verdict.lever import lever_check
 from carina.plan.verdict.verdict import Outcome, Verdict
 from carina.scopes import ScopeDrive, ScopeHold, ScopePreset, WallField
@@ -48,11 +48,11 @@ Points = NDArray[np.float64]
 NEAR_MM = 1.5
 """Largest distance in mm of the tip from the end of the route at which the tip counts as arrived."""
 SLIMMER_MM, THINNEST_MM, SPARE_MM = 0.8, 1.5, 0.2
-"""Sizes in mm that choose a thinner substitute for an instrument about as wide as the airway.
+"""Sizes in mm that choose a thinner substitute for an instrument that may not fit into the airway.
 
-A substitute is used if the airway is wider than the instrument by less than the third size. The substitute is thinner
-than the airway by the first size, but not thinner than the second size. If the instrument fits by the measured
-diameter, the substitute has no more play in an airway of this diameter than the instrument.
+In a lumen that was not measured, a substitute is also used if the lumen is wider than the instrument by less than
+the third size. It is thinner than the airway by the first size, but not thinner than the second size. A drive of
+a substitute shows that the route is possible if the instrument fits, so its verdict is never better than *may reach*.
 """
 BEFORE_MM = 2.0
 """Least distance in mm of the tip before the end of the route that counts as withdrawn."""
@@ -73,10 +73,15 @@ A small share suffices, because the moves of the drive that arrived are tried fi
 ERROR_SHARE = NormalDist().inv_cdf(SURE) / NormalDist().inv_cdf(0.95)
 """Factor that converts the 90 % error of a diameter to the error that 10 % of true diameters exceed downwards."""
 MIN_SCALE = 0.1
+NARROW_EFFORT = 0.15
+"""Effort of the search for a drive in the narrowest lumen within the errors, as a share of the first search's effort.
+
+A small share suffices, because the moves of the drive that arrived are tried first.
+"""
+SHALLOW = 0.99 * POINTS
+"""Factor of the share of needles that hit if the tool may be too short, so that the product is below `POINTS`."""
 IF_IT_FITS = "if it fits: "
-DRIVEN_THINNER = (
-    "driven as a thinner scope with no more play than in the measured diameter, because the segmented lumen is narrower"
-)
+NOT_NARROW = "no such drive was found in an airway as narrow as the error of its diameter allows"
 MECHANICS = "the scope's mechanics in the airways' wall; rigid tip and bending section are common knowledge (k)"
 
 
@@ -143,9 +148,11 @@ class RouteJudge:
         if route is None and not plan.routes:
             raise UsageError("the plan has no route to judge", code="plan.no-route")
         planned = plan.routes[0] if route is None else route
-        self._way = DriveWay(tree, planned, wall)
-        if plan.aims:
-            self._way.aim = np.array(plan.aims[planned.aim])
+        self._aim = np.array(plan.aims[planned.aim]) if plan.aims else np.array(planned.leg.aim_lps)
+        lumen = planned.lumen
+        self._drive_wall = wall if lumen is None else lumen.widened(wall)
+        self._way = self._way_in(tree, planned, self._drive_wall)
+        self._narrow_wall = None if lumen is None or not errors else lumen.widened(wall, error_share=ERROR_SHARE)
         self._tree, self._route, self._key = tree, planned, planned.key
         self._plan, self._wall = plan, wall
         self._least_nodule = _smaller(plan.nodule) if errors else plan.nodule
@@ -156,7 +163,12 @@ class RouteJudge:
     @property
     def aim(self) -> Points:
         """Point in the target that the drive is aimed at, (3,) LPS mm."""
-        return self._way.aim
+        return self._aim
+
+    def _way_in(self, tree: AirwayTree, planned: PlannedRoute, wall: WallField) -> DriveWay:
+        way = DriveWay(tree, planned, wall)
+        way.aim = self._aim
+        return way
 
     def verdict(self, scope: ScopePreset) -> Verdict:
         """Return the verdict on an instrument."""
@@ -188,7 +200,7 @@ class RouteJudge:
             id(self._tree),
             id(self._wall),
             id(self._plan.nodule),
-            tuple(self._way.aim.tolist()),
+            tuple(self._aim.tolist()),
             self._plan.tool,
             self._plan.errors if self._errors else None,
             self._effort,
@@ -212,14 +224,11 @@ class RouteJudge:
         if any(check.answer == "no" for check in checks[:3]) or checks[1].answer == "unknown":
             driven_as = None
         elif self._errors:
-            room_mm = float(self._way.room_mm.min()) - FIELD_LACK_MM
-            if checks[0].answer == "perhaps" or max(scope.tip_mm, scope.tube_mm or 0.0) > room_mm - SPARE_MM:
-                # The scope is as wide as the airway within the errors: the drive of a thinner substitute is simulated.
-                play_mm = SLIMMER_MM
-                if checks[0].answer == "yes":
-                    own_mm = self._way.width.mm - max(scope.tip_mm, scope.tube_mm or 0.0)
-                    play_mm = min(max(own_mm, SPARE_MM), SLIMMER_MM)
-                slim = min(max(room_mm - play_mm, THINNEST_MM), scope.tip_mm)
+            is_measured = self._route.lumen is not None
+            room_mm = self._way.width.mm if is_measured else float(self._way.room_mm.min()) - FIELD_LACK_MM
+            is_tight = not is_measured and max(scope.tip_mm, scope.tube_mm or 0.0) > room_mm - SPARE_MM
+            if checks[0].answer == "perhaps" or is_tight:
+                slim = min(max(room_mm - SLIMMER_MM, THINNEST_MM), scope.tip_mm)
                 driven_as = replace(scope, tip_mm=slim, tube_mm=None)
         return InstrumentChecks(checks, driven_as)
 
@@ -236,11 +245,13 @@ class RouteJudge:
     def driven(self, scope: ScopePreset, figures: InstrumentChecks, drive: SimulatedDrive) -> Verdict:
         """Return the verdict on an instrument from its checks and its simulated drive."""
         checks = drive.checks
-        if figures.driven_as is not scope and figures.checks[0].answer == "yes":
-            checks = tuple(replace(one, basis=f"{one.basis}; {DRIVEN_THINNER}") for one in checks)
-        elif figures.driven_as is not scope:
+        if figures.driven_as is not scope:
+            assert figures.driven_as is not None
+            thinner = f"; driven as a scope of {figures.driven_as.tip_mm:.1f} mm, not with its own width"
             checks = tuple(
-                replace(one, answer="perhaps", words=f"{IF_IT_FITS}{one.words}") if one.answer == "yes" else one
+                replace(one, answer="perhaps", words=f"{IF_IT_FITS}{one.words}", basis=f"{one.basis}{thinner}")
+                if one.answer == "yes"
+                else one
                 for one in checks
             )
         route = None if drive.route is None else replace(drive.route, scope_name=scope.name)
@@ -282,7 +293,7 @@ class RouteJudge:
     def _drive(self, scope: ScopePreset) -> SimulatedDrive:
         """Simulate the drive of an instrument, and point its tip at the target if it arrives."""
         try:
-            route = search_drive(self._way, self._wall, scope, effort=self._effort, cancel=self._is_cancelled)
+            route = search_drive(self._way, self._drive_wall, scope, effort=self._effort, cancel=self._is_cancelled)
         except UsageError as error:
             check = Check("drive", "no", 0.0, f"the scope does not enter the airway: {error}", MECHANICS)
             return SimulatedDrive(None, (check,))
@@ -293,27 +304,29 @@ class RouteJudge:
                 return SimulatedDrive(route, (Check("drive", "no", 0.0, words, MECHANICS),))
             words += "; the scope fits along the whole route, and another way of driving it may get there"
             return SimulatedDrive(route, (Check("drive", "perhaps", UNFOUND, words, MECHANICS),))
-        aimed = aim_drive(self._way, self._wall, scope, route, self._sure_share)
+        aimed = aim_drive(self._way, self._drive_wall, scope, route, self._aimed_share)
         bend = None
         if aimed.share >= BARELY:
             # Only a drive that points at the target is shortened, because shortening takes most of the time.
             self.stop_if_cancelled()
             tries = round(self._effort / EFFORT_PER_TRY)
-            route = condense_drive(self._way, self._wall, scope, route, tries=tries, cancel=self._is_cancelled)
+            route = condense_drive(self._way, self._drive_wall, scope, route, tries=tries, cancel=self._is_cancelled)
             self.stop_if_cancelled()
             bend = lever_check(
                 self._way,
-                self._wall,
+                self._drive_wall,
                 scope,
                 bend_check(self._way, scope, errors=self._errors),
                 route,
                 effort=LEVER_EFFORT * self._effort,
                 cancel=self._is_cancelled,
             )
-            shorter = aim_drive(self._way, self._wall, scope, route, self._sure_share)
+            shorter = aim_drive(self._way, self._drive_wall, scope, route, self._aimed_share)
             aimed = shorter if shorter.share >= min(aimed.share, ENOUGH) else aimed
         words = f"arrives at the end of the route by {len(route.moves)} moves"
         arrives = Check("drive", "yes", 1.0, words, MECHANICS)
+        if aimed.share >= POINTS and not self._points_if_narrow(scope, aimed.driven):
+            arrives = Check("drive", "perhaps", UNFOUND, f"{words}; {NOT_NARROW}", MECHANICS)
         tip = aimed.lps_from_tip
         share = self._hit_share(tip[:3, 3], tip[:3, 2])
         answer: Answer = "yes" if aimed.share >= POINTS else "perhaps" if share >= BARELY else "no"
@@ -327,8 +340,10 @@ class RouteJudge:
         place = f", {withdrawn_mm:.0f} mm before the standing place" if withdrawn_mm else ""
         hits = f"{100 * share:.0f} % of needle passes hit"
         words = f"points {aimed.off_deg:.0f} degrees from the target centre{place}; {hits}"
-        if aimed.share < POINTS <= share:
+        if self._sure_share(tip[:3, 3], tip[:3, 2]) < POINTS <= share:
             words += ", but fewer than half if the target is as small as its error allows"
+        if aimed.share < POINTS and share >= BARELY and not self._is_deep(tip[:3, 3], tip[:3, 2]):
+            words += f"; {depth_words(self._spare_mm(tip[:3, 3], tip[:3, 2]))}"
         pointing = Check("pointing", answer, share, words, basis)
         longer: tuple[Tool, ...] = ()
         if answer != "yes" and self._plan.tool.pierces:
@@ -338,9 +353,43 @@ class RouteJudge:
                 for one in tools()
                 if one.pierces
                 and one.reach_mm > reach_mm
-                and self._sure_share(tip[:3, 3], tip[:3, 2], reach_mm=one.reach_mm) >= POINTS
+                and self._aimed_share(tip[:3, 3], tip[:3, 2], reach_mm=one.reach_mm) >= POINTS
             )
         return SimulatedDrive(aimed.driven, (arrives, pointing), bend, aimed.lps_from_tip, longer, withdrawn_mm)
+
+    def _points_if_narrow(self, scope: ScopePreset, driven: DrivenRoute) -> bool:
+        """Return whether a drive points at the target also in the narrowest lumen within the errors.
+
+        True if the lumen was not measured, because the drive was then simulated in the segmented lumen.
+        """
+        wall = self._narrow_wall
+        if wall is None or wall is self._drive_wall:
+            return True
+        self.stop_if_cancelled()
+        way = self._way_in(self._tree, self._route, wall)
+        try:
+            recorder = MoveRecorder(place_at_start(way, wall, scope))
+            recorder.repeat(driven.moves)
+            if self._points_from(way, recorder.state.pose.lps_from_camera):
+                return True
+            effort = NARROW_EFFORT * self._effort
+            found = search_drive(way, wall, scope, effort=effort, cancel=self._is_cancelled)
+        except UsageError:
+            return False
+        # A drive that stops just before the end of the route suffices if it points at the target.
+        if self._way.from_origin_mm(self._way.park_mm) - found.stopped_mm > max(WITHDRAWALS_MM):
+            return False
+        return self._points_from(way, aim_drive(way, wall, scope, found, self._hit_share).lps_from_tip)
+
+    def _points_from(self, way: DriveWay, lps_from_tip: NDArray[np.float64]) -> bool:
+        """Return whether a tip is in the lumen of a route and at least half of its needles hit the target.
+
+        The target has its measured size: that the lumen is at its narrowest and the target at its smallest is too
+        unlikely to be required together.
+        """
+        tip, forward = lps_from_tip[:3, 3], lps_from_tip[:3, 2]
+        along_mm = float(way.cumulative_mm[int(np.argmin(np.linalg.norm(way.points - tip, axis=1)))])
+        return way.holds(tip, along_mm) and self._hit_share(tip, forward) >= POINTS
 
     @staticmethod
     def _flexes_with_tool(scope: ScopePreset, driven: DrivenRoute, loss_deg: float) -> bool:
@@ -349,9 +398,27 @@ class RouteJudge:
         return -(down_deg - loss_deg) <= flexion_deg <= up_deg - loss_deg
 
     def _laid_mm(self, scope: ScopePreset) -> float:
-        drive = ScopeDrive(self._wall, scope, self._way.points)
+        drive = ScopeDrive(self._drive_wall, scope, self._way.points)
         state = drive.place(self._way.points, self._way.park_mm)
         return self._way.nearest(state.pose.position_lps, state.insertion_mm)[0]
+
+    def _aimed_share(self, tip: Points, forward: Points, *, reach_mm: float | None = None) -> float:
+        """Return the share of needles that aiming increases: `_sure_share`, below half if the tool may be too short.
+
+        Without the second criterion, aiming would stop at a pose whose needle only just reaches the target.
+        """
+        share = self._sure_share(tip, forward, reach_mm=reach_mm)
+        return share if share < POINTS or self._is_deep(tip, forward, reach_mm=reach_mm) else SHALLOW * share
+
+    def _is_deep(self, tip: Points, forward: Points, *, reach_mm: float | None = None) -> bool:
+        """Return whether the tool surely reaches the edge of the target (`ranking.depth_rank`)."""
+        return not self._errors or int(depth_rank(self._spare_mm(tip, forward, reach_mm=reach_mm))) == 0
+
+    def _spare_mm(self, tip: Points, forward: Points, *, reach_mm: float | None = None) -> float:
+        """Return the length in mm of the tool beyond the edge of the target; negative if the tool ends before it."""
+        throw_mm = self._plan.tool.reach_mm if reach_mm is None else reach_mm
+        aimed_at = tip + forward * float(np.linalg.norm(self._aim - tip))
+        return throw_mm - edge_on_needle_mm(self._plan.nodule, tip, aimed_at, throw_mm)
 
     def _sure_share(self, tip: Points, forward: Points, *, reach_mm: float | None = None) -> float:
         """Return the share of needles that hit a target reduced by the error of its boundary."""

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from carina.case.document import Document
 from carina.commands import Look
 from carina.plan.routes.main_carina import ROOT, RouteScale
+from carina.plan.routes.route_width import RouteWidth
 from carina.render import PictureLines
 from carina.scopes import scope_presets
 from carina.server.wire import messages as wire
@@ -268,7 +269,7 @@ def route_message(
     return wire.RouteMessage(info)
 
 
-def _narrowest(route: ChosenRoute, measures: Any, along_mm: NDArray[np.float64]) -> dict[str, float]:
+def _narrowest(route: ChosenRoute, measures: Any, along_mm: NDArray[np.float64]) -> dict[str, Any]:
     """Return the fields of the narrowest diameter of a route; no fields without measures by the current method.
 
     Measures give positions along the centrelines, as does ``along_mm`` (n,) for each point of the route.
@@ -290,7 +291,9 @@ def _narrowest(route: ChosenRoute, measures: Any, along_mm: NDArray[np.float64])
         return {}
     at_mm = float(np.interp(starts[found.branch_id] + found.at_mm, along_mm, route.cumulative_mm))
     figures = {"narrowest_mm": found.mm, "narrowest_error_mm": found.error_mm, "narrowest_at_mm": at_mm}
-    return {name: round(mm, 3) for name, mm in figures.items()}
+    width = RouteWidth(found.mm, found.error_mm, at_mm)
+    fits = tuple(wire.ScopeFit(scope.name, width.fit(scope)) for scope in scope_presets())
+    return {name: round(mm, 3) for name, mm in figures.items()} | {"scope_fits": fits}
 
 
 def pose_message(info: PoseInfo) -> wire.PoseMessage:

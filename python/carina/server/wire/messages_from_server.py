@@ -277,6 +277,13 @@ class HistoryMessage(ServerMessage, frozen=True):
     """Number of steps in effect; the later steps are undone and can be redone. ``go_to_step`` changes the number."""
 
 
+class ScopeFit(FrozenValue, frozen=True):
+    """Whether an instrument passes the narrowest measured place of a route."""
+
+    scope: Identifier
+    fit: Literal["fits", "may fit", "does not fit"]
+
+
 class RouteInfo(DrawnPart, frozen=True, kw_only=True):
     """The current route; its point lists are parallel and go from the root to the tip."""
 
@@ -313,6 +320,8 @@ class RouteInfo(DrawnPart, frozen=True, kw_only=True):
     """Half-width in mm of the interval that should contain the true diameter in 90 of 100 cases."""
     narrowest_at_mm: float | None = None
     """Position of the narrowest place, in mm along the route."""
+    scope_fits: tuple[ScopeFit, ...] = ()
+    """Whether each instrument passes ``narrowest_mm`` within its error, as in plans; empty until it is measured."""
     origin: RouteOrigin = RouteOrigin("root", 0.0)
     """Origin of the distances that the window shows, as in the plan and its report."""
     centreline_mm: Numbers = ()

@@ -53,10 +53,13 @@ class CaseQuestions(CommandHandlers):
             return PointedPath(path, None)
         points = np.asarray(path.points_lps, dtype=np.float64)
         if bool(airways.tracker.inside(points[-1:])[0]):
-            # In the lumen the distance is that to the place beside the point on the centreline, as for a target.
-            nearest = airways.tree.nearest_branch(points[-1])[0].id
+            # In the lumen the distance is that to the place beside the point on the centreline, as for a target. Both
+            # use the branch to whose lumen the point belongs, because the nearest centreline at a fork may be another.
+            branch_id = airways.tracker.branch_at(points[-1])
+            if branch_id is None:
+                return PointedPath(path, None)
             with self.core.lock:
-                return PointedPath(path, planning.place_from_carina_mm(airways, nearest, points[-1], 0.0))
+                return PointedPath(path, planning.place_from_carina_mm(airways, branch_id, points[-1], 0.0))
         to_end = np.concatenate([np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1)[::-1])[::-1], [0.0]])
         leaves = points[int(np.argmin(np.abs(to_end - path.new_mm)))]
         with self.core.lock:

@@ -347,6 +347,27 @@ class PathTracker:
         points = self.core.smooth(found[0], step_mm=STEP_MM, keep_end=True)
         return points, self.core.radius_mm(points)
 
+    def branch_at(self, point_lps: Sequence[float] | NDArray[np.float64]) -> int | None:
+        """Return the ID of the branch to whose lumen a point belongs; None without branches.
+
+        The branch is that of the last point of :meth:`path_to` to the same point. At a fork it may differ from the
+        branch whose centreline is nearest to the point.
+
+        Parameters
+        ----------
+        point_lps
+            Point in the lumen, LPS in mm.
+
+        Raises
+        ------
+        NoResultError
+            If the point is farther from the lumen than a path may be moved.
+        """
+        if not self._branches:
+            return None
+        node, _ = self.snap(as_point(point_lps))
+        return self._branches[max(int(self._branch_of_node[node]), 0)].id
+
     def _path(self, node: int, snapped_mm: float) -> TrackedPath:
         found, cost = self.core.path(node), self.core.cost(node)
         assert found is not None

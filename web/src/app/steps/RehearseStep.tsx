@@ -1,5 +1,6 @@
 import { keyOf } from "../../input/keymap";
-import { comesFarthest, firstTooNarrow, thatPass } from "../../state/fit";
+import { withError } from "../../state/branch-text";
+import { fitOf, reachText, thatFit } from "../../state/fit";
 import { fixed, mm } from "../../state/format";
 import { placeText } from "../../state/route";
 import type { HeldScope, RouteInfo, Scope } from "../../wire/messages";
@@ -89,11 +90,12 @@ export function RehearseStep() {
   );
 }
 
-/** Render how far the selected instrument fits on the route, and which other instruments advance farther. */
+/** Render whether the selected instrument passes the narrowest place of the route, and which instruments do. */
 function Fit({ route, scope, scopes }: { route: RouteInfo; scope: Scope; scopes: readonly Scope[] }) {
-  const stop = firstTooNarrow(route, scope.fit_mm);
-  const passing = thatPass(route, scopes);
-  const farthest = comesFarthest(route, scopes);
+  const fit = fitOf(route, scope.name);
+  const passing = thatFit(route, scopes);
+  const width = withError(route.narrowest_mm, route.narrowest_error_mm);
+  const narrowest = route.narrowest_at_mm === null ? "" : placeText(route, route.narrowest_at_mm);
   return (
     <>
       <dl className="facts">
@@ -112,18 +114,18 @@ function Fit({ route, scope, scopes }: { route: RouteInfo; scope: Scope; scopes:
         <div>
           <dt>Scope reaches</dt>
           <dd className="numbers" data-testid="fits">
-            {stop === null ? `the end, ${placeText(route, route.length_mm)}` : placeText(route, stop.pathMm)}
+            {fit === null
+              ? "not known until the airways are measured"
+              : reachText(fit, placeText(route, route.length_mm), narrowest)}
           </dd>
         </div>
       </dl>
-      {stop === null ? null : (
+      {fit === null || fit === "fits" || width === null ? null : (
         <p className="warning-text">
-          <Icon name="warning" /> The lumen is {mm(stop.diameterMm)} wide there.{" "}
+          <Icon name="warning" /> The narrowest place, {narrowest}, is {width} wide.{" "}
           {passing.length > 0
-            ? `These scopes reach the end: ${passing.map((each) => `${each.title} (needs ${mm(each.fit_mm)})`).join("; ")}.`
-            : farthest === null || farthest.scope.name === scope.name
-              ? "No listed scope reaches farther."
-              : `No listed scope reaches the end. ${farthest.scope.title} gets farthest: ${placeText(route, farthest.pathMm)}.`}
+            ? `These scopes pass it: ${passing.map((each) => `${each.title} (needs ${mm(each.fit_mm)})`).join("; ")}.`
+            : "No listed scope certainly passes it."}
         </p>
       )}
     </>
