@@ -165,7 +165,7 @@ def checksums(files: Iterable[Path]) -> str:
 
 
 def main() -> int:
-    """Write the licences, or the list of parts and the checksums of the wheels in ``dist``."""
+    """Write the licences, or the list of parts and the checksums of all files of the release in ``dist``."""
     if sys.argv[1:] not in (["licences"], ["sums"]):
         print("expected: licences or sums", file=sys.stderr)
         return 2
@@ -182,9 +182,9 @@ def main() -> int:
         print(f"the list of parts is not valid CycloneDX 1.6: {problem}", file=sys.stderr)
         return 1
     document.write_text(text, encoding="utf-8")
-    files = [*OUT.glob(f"carina-{version}-*.whl"), document]
+    files = [*OUT.glob(f"carina-{version}-*"), document]
     (OUT / "SHA256SUMS").write_text(checksums(files), encoding="utf-8")
-    print(f"{document.relative_to(ROOT)} and dist/SHA256SUMS: {len(files) - 1} wheels")
+    print(f"{document.relative_to(ROOT)} and dist/SHA256SUMS: {len(files)} files")
     return 0
 
 
