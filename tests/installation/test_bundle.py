@@ -131,15 +131,26 @@ def test_image_layout_has_right_digests_and_its_entry_point_starts(layout, tmp_p
             packed.extractall(system, filter="tar")
         (tmp_path / "layer.tar").unlink()
     started = config["config"]
-    user = started["User"]
+    user, enter = started["User"], ""
+    namespace = ["--mount"] if os.geteuid() == 0 else ["--mount", "--map-root-user"]
     if os.geteuid() == 0:
         for path in (system / "home/carina", system / "tmp"):
             os.chown(path, *map(int, user.split(":")))
-        enter = ["chroot", f"--userspec={user}", system]
-    else:
-        enter = ["unshare", "--map-root-user", f"--root={system}"]
+        enter = f"--userspec={user}"
+    # A container has /proc, by which the loader finds the folder of a program.
+    (system / "proc").mkdir()
+    places = "PATH=/usr/sbin:/usr/bin:/sbin:/bin"
+    chroot = shutil.which("chroot", path="/usr/sbin:/usr/bin")
+    script = f'{places} mount --rbind /proc "$0/proc" && exec {chroot} {enter} "$0" "$@"'
     environment = dict(variable.split("=", 1) for variable in started["Env"])
-    enter[0] = shutil.which(enter[0], path="/usr/sbin:/usr/bin:/sbin:/bin") or enter[0]
-    command = [*enter, *started["Entrypoint"]]
+    command = [
+        shutil.which("unshare") or "unshare",
+        *namespace,
+        "/bin/sh",
+        "-c",
+        script,
+        system,
+        *started["Entrypoint"],
+    ]
     assert VERSION in run(*command, "--version", environment=environment)
     check_server(*command, "demo", "phantom", "--no-browser", "--json", environment=environment)

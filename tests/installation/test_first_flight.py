@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -31,6 +32,9 @@ NOBODY = 65534
 SYSTEM_PYTHON = Path("/usr/bin/python3")
 OPEN = "/var/tmp"
 """Folder that every user can read; the temporary folders of the tests are private."""
+NETWORK = re.compile(
+    r"SSL_CERT_(FILE|DIR)|(https?|no|all)_proxy|UV_(NATIVE_TLS|SYSTEM_CERTS|DEFAULT_INDEX|INDEX_URL)", re.IGNORECASE
+)
 FIRST_PICTURE = """() => [...document.querySelectorAll('canvas[data-view]')]
     .some((canvas) => canvas.offsetParent && canvas.dataset.frameId)"""
 
@@ -78,6 +82,8 @@ def test_two_commands_lead_from_the_wheel_file_to_the_first_flight(files, home, 
         "UV_TOOL_BIN_DIR": str(home / "programs"),
         "UV_PYTHON_DOWNLOADS": "never",
     }
+    # How this machine reaches the package index.
+    environment |= {name: value for name, value in os.environ.items() if NETWORK.fullmatch(name)}
     assert not [name for name in ("cargo", "rustc", "node", "cc", "gcc") if shutil.which(name, path=str(home))]
     [wheel] = files.glob("carina-*.whl")
     offline = ["--offline", "--no-index", "--find-links", files] if source == "local wheel files" else []
