@@ -23,7 +23,7 @@ export MATURIN_NO_INSTALL_RUST := 1
 export UV_PYTHON_DOWNLOADS := never
 export PATH := $(PATH):$(CURDIR)/.rust/bin
 
-.PHONY: help run build setup setup-tests test test-rust test-web test-python test-gpu soak check check-rust check-python check-web fmt docs bench bench-setup golden lock wheel wheels test-wheels clean
+.PHONY: help run build setup setup-tests test test-rust test-web test-python test-gpu soak check check-rust check-python check-web fmt docs bench bench-setup golden lock wheel wheels bundle test-wheels clean
 
 help: ## print this list
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sort | awk -F ':.*## ' '{printf "  make %-12s %s\n", $$1, $$2}'
@@ -198,6 +198,12 @@ $(WHEELS_STAMP): requirements-wheels.lock | build-tools $(if $(findstring .uv/,$
 
 wheels: $(WHEELS_STAMP) ## the wheels to publish: Linux, glibc 2.17, x86-64 and 64-bit ARM, in dist/ (docs/releasing.md)
 	.venv-wheels/bin/python tools/build_wheels.py $(PROCESSORS)
+
+# PYTHON_TO_BUNDLE: a Python installation that runs from any place (python-build-standalone needs glibc 2.17 only).
+bundle: $(WHEELS_STAMP) ## a folder with Carina and Python (tar.gz) and a container image (OCI) of it, in dist/ (docs/releasing.md)
+	.venv-wheels/bin/python tools/build_bundle.py --uv $(UV) $(if $(PYTHON_TO_BUNDLE),--python $(PYTHON_TO_BUNDLE))
+	.venv-wheels/bin/python tools/build_oci_image.py
+	.venv-wheels/bin/python tools/release_documents.py sums
 
 # The tests of the other processor need tools/unpack_arm64_python.sh once.
 test-wheels: $(STAMP) ## install the wheels of dist/ in empty environments and start them (docs/releasing.md)

@@ -147,13 +147,25 @@ def parts_list(version: str, parts: Iterable[Part]) -> dict[str, Any]:
     }
 
 
+def schema_problem(document: str) -> str | None:
+    """Return what violates the schema of CycloneDX 1.6 in a list of parts; None if it is valid.
+
+    The schema is part of cyclonedx-python-lib, which only the environment of ``make wheels`` has.
+    """
+    from cyclonedx.schema import SchemaVersion
+    from cyclonedx.validation.json import JsonStrictValidator
+
+    found = JsonStrictValidator(SchemaVersion.V1_6).validate_str(document)
+    return None if found is None else str(found)
+
+
 def checksums(files: Iterable[Path]) -> str:
     """Return the SHA-256 digests of files in the format of ``sha256sum``."""
     return "".join(f"{hashlib.sha256(file.read_bytes()).hexdigest()}  {file.name}\n" for file in sorted(files))
 
 
 def main() -> int:
-    """Write the licences, or the list of parts and the checksums of the wheels in ``dist``."""
+    """Write the licences, or the list of parts and the checksums of all files of the release in ``dist``."""
     if sys.argv[1:] not in (["licences"], ["sums"]):
         print("expected: licences or sums", file=sys.stderr)
         return 2
@@ -164,10 +176,15 @@ def main() -> int:
         return 0
     version = set_version.current()
     document = OUT / f"carina-{version}.cdx.json"
-    document.write_text(json.dumps(parts_list(version, inside + python_parts()), indent=1) + "\n", encoding="utf-8")
-    files = [*OUT.glob(f"carina-{version}-*.whl"), document]
+    text = json.dumps(parts_list(version, inside + python_parts()), indent=1) + "\n"
+    problem = schema_problem(text)
+    if problem is not None:
+        print(f"the list of parts is not valid CycloneDX 1.6: {problem}", file=sys.stderr)
+        return 1
+    document.write_text(text, encoding="utf-8")
+    files = [*OUT.glob(f"carina-{version}-*"), document]
     (OUT / "SHA256SUMS").write_text(checksums(files), encoding="utf-8")
-    print(f"{document.relative_to(ROOT)} and dist/SHA256SUMS: {len(files) - 1} wheels")
+    print(f"{document.relative_to(ROOT)} and dist/SHA256SUMS: {len(files)} files")
     return 0
 
 

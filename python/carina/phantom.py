@@ -327,7 +327,7 @@ def write_phantom(phantom: Phantom, directory: str | os.PathLike[str]) -> list[P
     Returns
     -------
     list of Path
-        Paths of the files. NIfTI is RAS by convention; SimpleITK converts the LPS grid into it and back.
+        Paths of the files. NIfTI is RAS by convention; the LPS grid is converted into it.
 
     Examples
     --------

@@ -7,6 +7,8 @@ import json
 import subprocess
 from pathlib import Path
 
+import pytest
+
 import build_wheels
 import release_documents
 from release_documents import Part
@@ -71,3 +73,11 @@ def test_licence_text_that_parts_share_is_printed_once(tmp_path):
     text = release_documents.licence_document(parts)
     assert text.count("the text") == 1
     assert "one 1.0, two 1.0" in text
+
+
+def test_list_of_parts_follows_the_schema_and_an_invalid_list_is_reported():
+    pytest.importorskip("cyclonedx", reason="only the environment of `make wheels` has the schema")
+    document = release_documents.parts_list("1.2.3", [Part("pypi", "numpy", "2.0", "BSD-3-Clause", None)])
+    assert release_documents.schema_problem(json.dumps(document)) is None
+    document["components"][0]["type"] = "invalid"
+    assert "invalid" in release_documents.schema_problem(json.dumps(document))

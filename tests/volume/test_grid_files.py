@@ -15,6 +15,7 @@ import SimpleITK as sitk
 from carina.errors import CancelledError, UsageError, VolumeImportError
 from carina.volume import inspect_path, open_volume
 from carina.volume.demo import CASE_PATH
+from carina.volume.grid_second_reader import read_geometry
 
 SIZE_IJK = (13, 11, 9)
 SPACING_MM = (0.7, 0.9, 1.25)
@@ -273,16 +274,14 @@ def test_import_library_writes_nothing_to_the_terminal(tmp_path, capfd):
     assert captured.err == ""
 
 
-def test_file_opens_with_a_note_where_the_second_reader_is_not_installed(tmp_path, monkeypatch):
-    values = np.arange(120, dtype=np.int16).reshape(4, 5, 6) * 10 - 1000
-    path = tmp_path / "scan.nii"
-    image = sitk.GetImageFromArray(values)
-    image.SetSpacing((0.7, 0.8, 2.5))
-    sitk.WriteImage(image, path)
-    checked = open_volume(path)
-    monkeypatch.setattr("carina.volume.grid_files.has_second_reader", lambda: False)
-    unchecked = open_volume(path)
-    np.testing.assert_array_equal(unchecked.hu_zyx, checked.hu_zyx)
-    np.testing.assert_array_equal(unchecked.lps_from_ijk, checked.lps_from_ijk)
-    assert "import.not-checked" not in [note.code for note in checked.source.notes]
-    assert "import.not-checked" in [note.code for note in unchecked.source.notes]
+@pytest.mark.parametrize("suffix", SUFFIXES)
+def test_header_that_the_second_reader_places_elsewhere_is_refused(tmp_path, monkeypatch, suffix):
+    path = write(tmp_path / f"ct.{suffix}")
+    mirrored = np.diag([-1.0, 1.0, 1.0, 1.0])
+    monkeypatch.setattr(
+        "carina.volume.grid_files.read_geometry",
+        lambda head, form: (SIZE_IJK, mirrored @ read_geometry(head, form)[1]),
+    )
+    assert refusal(path).code == "import.geometry.disagree"
+    monkeypatch.setattr("carina.volume.grid_files.read_geometry", lambda head, form: ((1, 2, 3), np.eye(4)))
+    assert refusal(path).code == "import.header.disagree"

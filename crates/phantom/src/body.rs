@@ -141,17 +141,32 @@ impl Body {
     /// approximate.
     pub(crate) fn surfaces(&self, p: [f64; 3]) -> Surfaces {
         let mut s = surfaces_by(Superellipsoid::seen_distance, p);
-        if let Some(neck) = &self.neck
-            && p[2] > 60.0
-        {
-            let [a, b, y] = neck.skin(p[2], chest_skin(p[2]));
-            s.skin =
-                Neck::slope(p[2]) * Superellipsoid::at([(p[0], a), (p[1] - y, b)]).seen_distance();
-            let share = Neck::share(p[2]);
-            let at = [0.0, self.spine_y(p[2]), p[2]];
-            s.spine = ellipsoid(p, at, [mix(18.0, 13.0, share), mix(15.0, 10.5, share), 1e6]);
+        if self.neck.is_some() && p[2] > 60.0 {
+            s.skin = self.skin(p);
+            s.spine = self.spine(p);
         }
         s
+    }
+
+    /// Return the distance to the skin.
+    fn skin(&self, p: [f64; 3]) -> f64 {
+        match &self.neck {
+            Some(neck) if p[2] > 60.0 => {
+                let [a, b, y] = neck.skin(p[2], chest_skin(p[2]));
+                Neck::slope(p[2]) * Superellipsoid::at([(p[0], a), (p[1] - y, b)]).seen_distance()
+            }
+            _ => skin(p).seen_distance(),
+        }
+    }
+
+    /// Return the distance to the spine.
+    fn spine(&self, p: [f64; 3]) -> f64 {
+        if self.neck.is_none() || p[2] <= 60.0 {
+            return spine(p);
+        }
+        let share = Neck::share(p[2]);
+        let at = [0.0, self.spine_y(p[2]), p[2]];
+        ellipsoid(p, at, [mix(18.0, 13.0, share), mix(15.0, 10.5, share), 1e6])
     }
 
     /// Return the HU of lung tissue without airways and vessels at a point.
@@ -165,48 +180,57 @@ impl Body {
     }
 
     /// Return the HU of the body at a point, without `solids`, airways and the vessels of the lungs.
-    pub(crate) fn hu(&self, p: [f64; 3], s: &Surfaces, sigma_mm: f64) -> f64 {
-        let mut hu = mix(-1000.0, 5.0, cover(s.skin, sigma_mm));
-        if s.skin > 4.0 {
+    ///
+    /// Surfaces that cannot affect the point are not computed.
+    pub(crate) fn hu(&self, p: [f64; 3], sigma_mm: f64) -> f64 {
+        let to_skin = self.skin(p);
+        let mut hu = mix(-1000.0, 5.0, cover(to_skin, sigma_mm));
+        if to_skin > 4.0 {
             return hu;
         }
+        let to_cavity = cavity(p).seen_distance();
         let mottle = value_noise(self.seed ^ 0x13, p.map(|v| v / 7.0));
         let fat = -102.0 + 9.0 * mottle;
-        hu = mix(hu, fat, cover(s.skin + 2.0, sigma_mm));
+        hu = mix(hu, fat, cover(to_skin + 2.0, sigma_mm));
         // The chest wall and the shoulders are muscle round the cavity and the neck, below the fat.
         let neck = ellipsoid(p, [0.0, 6.0, 118.0], [122.0, 70.0, 66.0]);
         let back = ellipsoid(p, [0.0, 84.0, p[2]], [62.0, 26.0, 1e6]);
-        let mut wall = (s.cavity - 18.0).min(neck).min(back);
+        let mut wall = (to_cavity - 18.0).min(neck).min(back);
         let mut fat_mm = 12.0;
         if self.neck.is_some() {
             wall = wall.min(106.0 - p[2]);
             fat_mm = mix(12.0, 6.0, Neck::share(p[2]));
         }
-        let muscle = smooth_max(wall, s.skin + fat_mm, 4.0);
+        let muscle = smooth_max(wall, to_skin + fat_mm, 4.0);
         let strands = value_noise(self.seed ^ 0x14, [p[0] / 14.0, p[1] / 5.0, p[2] / 14.0]);
         // Fat is between the muscles.
         let seams = ((strands.abs() - 0.05) * 14.0).clamp(0.0, 1.0);
         let muscle_hu = mix(-70.0, 52.0 + 6.0 * mottle, mix(1.0, seams, 0.75));
         hu = mix(hu, muscle_hu, cover(muscle, sigma_mm));
         // Mediastinal fat, the abdomen under the diaphragm and the heart are within the cavity.
-        let cavity = cover(s.cavity, sigma_mm);
-        if cavity > 0.0 {
-            let mut inner = mix(-78.0 + 14.0 * mottle, 46.0, cover(s.heart, sigma_mm));
+        let inside = cover(to_cavity, sigma_mm);
+        if inside > 0.0 {
+            let (to_diaphragm, to_heart) = (diaphragm(p), heart(p));
+            let mut inner = mix(-78.0 + 14.0 * mottle, 46.0, cover(to_heart, sigma_mm));
             // The liver is on the right, fat and spleen are on the left; above the diaphragm the distance is negative.
             let abdomen = if p[0] < 24.0 {
                 58.0
             } else {
                 40.0 + 20.0 * mottle
             };
-            inner = mix(inner, abdomen, cover(-s.diaphragm, sigma_mm));
-            hu = mix(hu, inner, cavity);
-        }
-        let lung = cover(s.lung, sigma_mm);
-        if lung > 0.0 {
-            hu = mix(hu, self.parenchyma_hu(p), lung);
+            inner = mix(inner, abdomen, cover(-to_diaphragm, sigma_mm));
+            hu = mix(hu, inner, inside);
+            // The lungs are inside the cavity and above the diaphragm.
+            if cover(to_diaphragm, sigma_mm) > 0.0 {
+                let lung = lung_by(p, to_cavity, to_diaphragm, to_heart, spine(p));
+                let lung = cover(lung, sigma_mm);
+                if lung > 0.0 {
+                    hu = mix(hu, self.parenchyma_hu(p), lung);
+                }
+            }
         }
         let share = self.neck.as_ref().map_or(0.0, |_| Neck::share(p[2]));
-        with_spine(hu, p, s.spine, self.spine_y(p[2]), share, sigma_mm)
+        with_spine(hu, p, self.spine(p), self.spine_y(p[2]), share, sigma_mm)
     }
 }
 
@@ -241,6 +265,18 @@ fn surfaces_by(distance: impl Fn(&Superellipsoid) -> f64, p: [f64; 3]) -> Surfac
     let diaphragm = diaphragm(p);
     let heart = heart(p);
     let spine = spine(p);
+    Surfaces {
+        skin: distance(&skin(p)),
+        cavity,
+        diaphragm,
+        heart,
+        spine,
+        lung: lung_by(p, cavity, diaphragm, heart, spine),
+    }
+}
+
+/// Return the signed distance to the lungs from the distances to the surfaces around them.
+fn lung_by(p: [f64; 3], cavity: f64, diaphragm: f64, heart: f64, spine: f64) -> f64 {
     let mut centre = smooth_min(mediastinum(p), heart, 12.0);
     for side in [-1.0, 1.0] {
         // The hilum is where bronchi and vessels enter the lung.
@@ -248,15 +284,7 @@ fn surfaces_by(distance: impl Fn(&Superellipsoid) -> f64, p: [f64; 3]) -> Surfac
         centre = smooth_min(centre, hilum, 8.0);
     }
     centre = smooth_min(centre, spine - 5.0, 10.0);
-    let lung = smooth_max(smooth_max(cavity, diaphragm, 6.0), -centre, 5.0);
-    Surfaces {
-        skin: distance(&skin(p)),
-        cavity,
-        diaphragm,
-        heart,
-        spine,
-        lung,
-    }
+    smooth_max(smooth_max(cavity, diaphragm, 6.0), -centre, 5.0)
 }
 
 /// Return the HU of a point with a solid, given the HU without it.

@@ -523,7 +523,7 @@ impl<'a> Scene<'a> {
             let mut hu = match kinds[brick - first_brick] {
                 Kind::Air => AIR_HU,
                 Kind::Lung => self.body.parenchyma_hu(p),
-                Kind::Mixed => self.body.hu(p, &self.body.surfaces(p), body_sigma),
+                Kind::Mixed => self.body.hu(p, body_sigma),
             };
             if let Some(neck) = &self.body.neck {
                 hu = neck.with_cartilage(hu, p, neck.upper_airway(p), body_sigma);

@@ -93,7 +93,6 @@ OPTIONAL = {
     "vtk": ("the reference renderer in benchmarks", "bench"),
     "numba": ("a baseline in benchmarks", "bench"),
     "ray": ("rendering on several machines (Linux)", "cluster"),
-    "SimpleITK": ("the second reader of NIfTI, NRRD and MetaImage headers", "second-reader"),
     "scipy": ("the reference distance transform in benchmarks", "bench"),
 }
 NEEDED = ("numpy", "pydicom", "python-gdcm", "starlette", "uvicorn", "websockets", "simplejpeg")

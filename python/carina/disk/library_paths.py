@@ -15,7 +15,7 @@ from carina.errors import DiskError
 def library_path(path: Path) -> Iterator[str]:
     """Yield a UTF-8 name of a file for a C++ library: its own name, or a link to the file in a private folder.
 
-    SimpleITK ends the process when it receives a name that is not UTF-8, so every name passes through this function.
+    C++ libraries refuse a name that is not UTF-8, or end the process, so every name passes through this function.
 
     Parameters
     ----------

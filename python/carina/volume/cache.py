@@ -583,7 +583,7 @@ def _reader_digest() -> str:
     for source in sorted(Path(__file__).parent.glob("*.py")):
         found.update(source.name.encode())
         found.update(source.read_bytes())
-    for decoder in ("pydicom", "python-gdcm", "SimpleITK", "numpy", "av"):
+    for decoder in ("pydicom", "python-gdcm", "numpy", "av"):
         with contextlib.suppress(importlib.metadata.PackageNotFoundError):
             found.update(importlib.metadata.version(decoder).encode())
     return found.hexdigest()

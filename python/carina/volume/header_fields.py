@@ -57,7 +57,7 @@ class GridHeader:
     file_is_gzipped: bool = False
     """Whether gzip compresses the whole data file in addition to the compression of the values."""
     head: bytes = field(default=b"", repr=False)
-    """The header itself, decompressed, for the second library that reads it."""
+    """The header itself, decompressed, for the second reader."""
     scaling: tuple[float, float] | None = None
     """Slope and intercept that convert the stored numbers to values; None if no conversion is needed."""
     notes: tuple[Note, ...] = ()

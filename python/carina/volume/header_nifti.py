@@ -200,19 +200,6 @@ def _is_rectangular(lps_from_ijk: NDArray[np.float64], shape: tuple[int, ...]) -
     return bool(np.linalg.norm(lps_from_ijk[:3, :3], axis=0).min() > 0) and has_right_angles(lps_from_ijk, shape)
 
 
-def head_with_orthogonal_sform(head: bytes) -> bytes:
-    """Return a header whose only form is its sform with axes at right angles.
-
-    ITK refuses an sform whose axes deviate by more than about 0.02 degrees from right angles, unless a qform is set.
-    """
-    order = "<" if head[:4] == struct.pack("<i", 348) else ">"
-    rows = np.vstack([np.reshape(struct.unpack_from(f"{order}12f", head, 280), (3, 4)), [0, 0, 0, 1]])
-    out = bytearray(head)
-    struct.pack_into(f"{order}h", out, 252, 0)
-    struct.pack_into(f"{order}12f", out, 280, *with_orthogonal_axes(rows.astype(np.float64))[:3].ravel())
-    return bytes(out)
-
-
 def _qform(pixdim: tuple[float, ...], quaternion: tuple[float, ...]) -> NDArray[np.float64]:
     """Return the 4x4 transform of a qform, from voxel centres to RAS in the unit of the file."""
     b, c, d, *offsets = quaternion
