@@ -25,7 +25,7 @@ def digest_of_the_deformation() -> str:
 def write_second_ct(volume: Volume, path: Path) -> Path:
     """Write a phantom's CT in another breath to a compressed file, and return its path.
 
-    The main carina is near the origin. The deformation takes up to 13 s of CPU time, so that all workers share the file.
+    The main carina is near the origin. The deformation takes up to 13 s of CPU time; all workers share the file.
     """
 
     def make() -> bytes:

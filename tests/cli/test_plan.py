@@ -42,6 +42,13 @@ def found_once(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(carina, "wall_field", lambda _volume, airways: wall_of(airways))
 
 
+@pytest.fixture
+def undriven(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Simulate no drive: tests of other parts of the plan wait 8 s of CPU time for each."""
+    monkeypatch.setattr(carina, "plan_route", partial(carina.plan_route, drives=0))
+    monkeypatch.setattr("carina.cli.plan.judge_scopes", lambda *_given, **_options: ())
+
+
 def run(path, place, *more):
     point = ",".join(f"{v:.2f}" for v in place)
     return CliRunner().invoke(app, ["plan", str(path), "--target", point, *more])
@@ -93,7 +100,7 @@ def mirrored_chest(chest, tmp_path_factory):
 
 
 def test_plan_command_reports_a_mirrored_chest_in_the_terminal_and_as_a_badge(
-    mirrored_chest, found_once, tmp_path
+    mirrored_chest, found_once, undriven, tmp_path
 ) -> None:
     path, place = mirrored_chest
     output = tmp_path / "plan.json"
@@ -247,7 +254,9 @@ def test_plan_command_with_an_invalid_receiver_address_is_refused(
     assert result.exit_code != 0 and text in result.stderr
 
 
-def test_plan_with_a_second_ct_states_the_measured_movement_in_terminal_and_json(chest, found_once, tmp_path) -> None:
+def test_plan_with_a_second_ct_states_the_measured_movement_in_terminal_and_json(
+    chest, found_once, undriven, tmp_path
+) -> None:
     path, place = chest
     second = write_second_ct(carina.open_volume(path), tmp_path / "second.nii.gz")
     result = run(path, place, "--json", "--second-ct", str(second))
@@ -272,7 +281,7 @@ def test_second_ct_that_shows_half_of_the_chest_is_refused_with_its_error_code(c
 
 
 def test_compare_command_prints_one_ranking_with_its_rule_c_arm_angles_stations_and_predictors(
-    chest, found_once
+    chest, found_once, undriven
 ) -> None:
     path, place = chest
     beside = ",".join(f"{v + 1.0:.2f}" for v in place)
