@@ -218,7 +218,7 @@ def test_plan_with_all_scopes_lists_a_verdict_for_each_pair_and_ranks_available_
     assert all(one["outcome"] in {"reaches", "may reach", "does not reach", "cannot say"} for one in verdicts)
 
 
-def test_plan_for_a_mask_is_written_for_slicer_and_as_a_report(chest, found_once, tmp_path) -> None:
+def test_plan_for_a_mask_is_written_for_slicer_and_as_a_report(chest, found_once, undriven, tmp_path) -> None:
     path, place = chest
     volume = carina.open_volume(path)
     nodule = carina.grow_nodule(volume, place)
@@ -247,7 +247,7 @@ def test_plan_for_a_mask_is_written_for_slicer_and_as_a_report(chest, found_once
     [(["--send", "nowhere"], "expected HOST:PORT"), (["--send", "127.0.0.1:1"], "nothing listens there")],
 )
 def test_plan_command_with_an_invalid_receiver_address_is_refused(
-    chest, found_once, more: list[str], text: str
+    chest, found_once, undriven, more: list[str], text: str
 ) -> None:
     path, place = chest
     result = run(path, place, *more)
