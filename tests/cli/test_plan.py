@@ -44,7 +44,7 @@ def found_once(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture
 def undriven(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Simulate no drive: tests of other parts of the plan wait 8 s of CPU time for each."""
+    """Simulate no drive, because tests of other parts of the plan do not depend on it."""
     monkeypatch.setattr(carina, "plan_route", partial(carina.plan_route, drives=0))
     monkeypatch.setattr("carina.cli.plan.judge_scopes", lambda *_given, **_options: ())
 
