@@ -20,11 +20,14 @@ from carina.session import LocalStore
 from carina.volume import write_grid
 from second_scan import write_second_ct
 
+CHEST = {"seed": 4, "spacing_mm": 1.2, "generations": 5, "nodule": True}
+"""Options of the chest with a nodule, also of the browser tests of plans, which share its second CT."""
+
 
 @pytest.fixture(scope="module")
 def chest(tmp_path_factory):
     """Return the file of a chest with a nodule, and a point in the nodule as an argument."""
-    made = cached_phantom(seed=4, spacing_mm=1.2, generations=5, nodule=True)
+    made = cached_phantom(**CHEST)
     folder = tmp_path_factory.mktemp("chest")
     carina.write_phantom(made, folder)
     return folder / "ct.nii.gz", made.truth["nodule"]["centre_lps"]
@@ -258,7 +261,7 @@ def test_plan_with_a_second_ct_states_the_measured_movement_in_terminal_and_json
     chest, found_once, undriven, tmp_path
 ) -> None:
     path, place = chest
-    second = write_second_ct(carina.open_volume(path), tmp_path / "second.nii.gz")
+    second = write_second_ct(cached_phantom(**CHEST).volume, tmp_path / "second.nii.gz")
     result = run(path, place, "--json", "--second-ct", str(second))
     assert result.exit_code == 0, result.output
     document = json.loads(result.stdout)
