@@ -20,11 +20,14 @@ from carina.session import LocalStore
 from carina.volume import write_grid
 from second_scan import write_second_ct
 
+CHEST = {"seed": 4, "spacing_mm": 1.2, "generations": 5, "nodule": True}
+"""Options of the chest with a nodule, also of the browser tests of plans, which share its second CT."""
+
 
 @pytest.fixture(scope="module")
 def chest(tmp_path_factory):
     """Return the file of a chest with a nodule, and a point in the nodule as an argument."""
-    made = cached_phantom(seed=4, spacing_mm=1.2, generations=5, nodule=True)
+    made = cached_phantom(**CHEST)
     folder = tmp_path_factory.mktemp("chest")
     carina.write_phantom(made, folder)
     return folder / "ct.nii.gz", made.truth["nodule"]["centre_lps"]
@@ -40,6 +43,13 @@ def found_once(monkeypatch: pytest.MonkeyPatch) -> None:
     """Search for the airways and their wall only once for each CT, to save time."""
     monkeypatch.setattr(carina, "find_airways", lambda volume, **_options: found_airways(volume))
     monkeypatch.setattr(carina, "wall_field", lambda _volume, airways: wall_of(airways))
+
+
+@pytest.fixture
+def undriven(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Simulate no drive, because tests of other parts of the plan do not depend on it."""
+    monkeypatch.setattr(carina, "plan_route", partial(carina.plan_route, drives=0))
+    monkeypatch.setattr("carina.cli.plan.judge_scopes", lambda *_given, **_options: ())
 
 
 def run(path, place, *more):
@@ -93,7 +103,7 @@ def mirrored_chest(chest, tmp_path_factory):
 
 
 def test_plan_command_reports_a_mirrored_chest_in_the_terminal_and_as_a_badge(
-    mirrored_chest, found_once, tmp_path
+    mirrored_chest, found_once, undriven, tmp_path
 ) -> None:
     path, place = mirrored_chest
     output = tmp_path / "plan.json"
@@ -211,7 +221,7 @@ def test_plan_with_all_scopes_lists_a_verdict_for_each_pair_and_ranks_available_
     assert all(one["outcome"] in {"reaches", "may reach", "does not reach", "cannot say"} for one in verdicts)
 
 
-def test_plan_for_a_mask_is_written_for_slicer_and_as_a_report(chest, found_once, tmp_path) -> None:
+def test_plan_for_a_mask_is_written_for_slicer_and_as_a_report(chest, found_once, undriven, tmp_path) -> None:
     path, place = chest
     volume = carina.open_volume(path)
     nodule = carina.grow_nodule(volume, place)
@@ -240,16 +250,18 @@ def test_plan_for_a_mask_is_written_for_slicer_and_as_a_report(chest, found_once
     [(["--send", "nowhere"], "expected HOST:PORT"), (["--send", "127.0.0.1:1"], "nothing listens there")],
 )
 def test_plan_command_with_an_invalid_receiver_address_is_refused(
-    chest, found_once, more: list[str], text: str
+    chest, found_once, undriven, more: list[str], text: str
 ) -> None:
     path, place = chest
     result = run(path, place, *more)
     assert result.exit_code != 0 and text in result.stderr
 
 
-def test_plan_with_a_second_ct_states_the_measured_movement_in_terminal_and_json(chest, found_once, tmp_path) -> None:
+def test_plan_with_a_second_ct_states_the_measured_movement_in_terminal_and_json(
+    chest, found_once, undriven, tmp_path
+) -> None:
     path, place = chest
-    second = write_second_ct(carina.open_volume(path), tmp_path / "second.nii.gz")
+    second = write_second_ct(cached_phantom(**CHEST).volume, tmp_path / "second.nii.gz")
     result = run(path, place, "--json", "--second-ct", str(second))
     assert result.exit_code == 0, result.output
     document = json.loads(result.stdout)
@@ -272,7 +284,7 @@ def test_second_ct_that_shows_half_of_the_chest_is_refused_with_its_error_code(c
 
 
 def test_compare_command_prints_one_ranking_with_its_rule_c_arm_angles_stations_and_predictors(
-    chest, found_once
+    chest, found_once, undriven
 ) -> None:
     path, place = chest
     beside = ",".join(f"{v + 1.0:.2f}" for v in place)

@@ -28,7 +28,7 @@ CHEST: dict[str, Any] = {"seed": 4, "spacing_mm": 1.2, "generations": 5, "nodule
 def tables() -> dict[str, Tabular]:
     made, airways = cached_phantom(**CHEST), cached_airways(**CHEST)
     measures = carina.measure_tree(made.volume, airways)
-    plan = carina.plan_route(made.volume, airways, made.truth["nodule"]["centre_lps"])
+    plan = carina.plan_route(made.volume, airways, made.truth["nodule"]["centre_lps"], drives=1)
     tip = airways.tree.tips()[0]
     # The second target is in the lung, far from every airway.
     targets = [tip.tip_lps, (-110.0, 0.0, -60.0)]

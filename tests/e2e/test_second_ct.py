@@ -68,7 +68,8 @@ def test_second_ct_replaces_the_default_movement_and_a_ct_of_half_a_chest_is_ref
 SIZES = [(1280, 720), (1440, 900), (1920, 1080)]
 
 
-@pytest.mark.parametrize("size", SIZES)
+# The layout of the plan changes between 1280 and 1920 px; the test above measures at 1440 px.
+@pytest.mark.parametrize("size", [SIZES[0], pytest.param(SIZES[1], marks=pytest.mark.soak), SIZES[2]])
 def test_second_ct_is_chosen_as_a_file_or_from_the_recent_cases(server, workstation, tmp_path, size):
     page, place = workstation.page, cached_phantom(**CHEST).truth["nodule"]["centre_lps"]
     page.set_viewport_size({"width": size[0], "height": size[1]})

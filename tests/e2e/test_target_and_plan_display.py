@@ -186,9 +186,13 @@ def test_verdict_of_a_plan_is_shown_above_its_details_and_printed(server, workst
     page.get_by_test_id("planned").wait_for()
     workstation.wait_still()
     workstation.picture(f"answer-route-{size[0]}")
-    with page.context.expect_page() as opened:
-        page.get_by_test_id("print-plan").click()
-    opened.value.close()
+    if wide:
+        with page.context.expect_page() as opened:
+            page.get_by_test_id("print-plan").click()
+        opened.value.close()
+    else:
+        # The click would print the same report, which takes 8 s of CPU time: only whether it is possible is checked.
+        page.get_by_test_id("print-plan").click(trial=True)
     # A view in full size hides the region with the answer for the target.
     page.keyboard.press("Escape")
     cell(workstation, "axial").get_by_role("button", name="Full view").click()

@@ -3,7 +3,7 @@
 Each workstation has a separate session, server and port, as new as after ``carina demo``, with the real volumes,
 renderers and parts. Only results that take seconds and never differ are cached between workstations: imports, the
 volumes of the demos and of shared files, and for these volumes the airways that are found on opening, their measures
-and wall, the plans of equal targets, and their C-arm angles.
+and wall, the targets of equal points, the plans of equal targets, their verdicts and their C-arm angles.
 
 ``{"open": {"demo": "phantom"}}`` is answered by ``{"number": 1, "url": URL}``, ``{"close": 1}`` by ``{"closed": 1}``,
 and an error by ``{"error": TEXT}``. ``{"open": {"path": PATH, "is_shared": true}}`` opens a shared file, which never
@@ -162,6 +162,16 @@ class Kept:
 
         return self._kept(("wall", id(airways)), make) if self._holds(airways) else make()
 
+    def target_from_click(self, volume: Any, at_lps: Any, **options: Any) -> Any:
+        def make() -> Any:
+            return self._real.target_from_click(volume, at_lps, **options)
+
+        airways, wall = options.get("airways"), options.get("wall")
+        if not self._holds(airways) or not (wall is None or self._holds(wall)):
+            return make()
+        rest = {name: value for name, value in options.items() if name not in {"airways", "wall", "progress"}}
+        return self._kept(("target", id(airways), id(wall), pickle.dumps((tuple(at_lps), rest))), make)
+
     def plan_route(self, volume: Any, airways: Any, target: Any, **options: Any) -> Any:
         def make() -> Any:
             return self._real.plan_route(volume, airways, target, **options)
@@ -181,6 +191,46 @@ class Kept:
         is_held = self._holds(airways) and self._holds(plan)
         return self._kept(("C-arm", id(airways), id(plan), route_number), make) if is_held else make()
 
+    def judge_scopes(self, tree: Any, plan: Any, wall: Any, *, route: Any, **options: Any) -> Any:
+        judge = partial(self._real.judge_scopes, route=route)
+        return self._judge(
+            ("scopes", [id(one) for one in plan.routes].index(id(route))), judge, tree, plan, wall, **options
+        )
+
+    def judge_pairs(self, tree: Any, plan: Any, wall: Any, **options: Any) -> Any:
+        return self._judge(("pairs",), self._real.judge_pairs, tree, plan, wall, **options)
+
+    def _judge(
+        self,
+        kind: tuple[object, ...],
+        judge: Callable[..., Any],
+        tree: Any,
+        plan: Any,
+        wall: Any,
+        *,
+        found: Callable[[Any], None],
+        **options: Any,
+    ) -> Any:
+        """Return verdicts on a cached plan from the cache; each of them is also passed to ``found``."""
+        # Other tests check the results of the drives, so these searches for all instruments are short.
+        judge = partial(judge, tree, plan, wall, effort=2000.0, **options)
+        if not (self._holds(plan) and self._holds(wall)):
+            return judge(found=found)
+        judged: list[Any] = []
+
+        def note(verdict: Any) -> None:
+            judged.append(verdict)
+            found(verdict)
+
+        rest = {name: value for name, value in options.items() if name not in {"progress", "cancel"}}
+        # The tree is stored with the verdicts, so that no other tree can get its ID.
+        key = (*kind, id(tree), id(plan), id(wall), pickle.dumps(rest))
+        _, verdicts, shown = self._kept(key, lambda: (tree, judge(found=note), tuple(judged)))
+        if not judged:
+            for verdict in shown:
+                found(verdict)
+        return verdicts
+
     def parts(self) -> Parts:
         """Return the parts of a session, which use the cached results."""
         return replace(
@@ -192,10 +242,10 @@ class Kept:
             measure_tree=self.measure_tree,
             wall_field=self.wall_field,
             plan_route=self.plan_route,
+            target_from_click=self.target_from_click,
             carm_angles=self.carm_angles,
-            # Other tests check the results of the drives, so these searches for all instruments are short.
-            judge_scopes=partial(self._real.judge_scopes, effort=2000.0),
-            judge_pairs=partial(self._real.judge_pairs, effort=2000.0),
+            judge_scopes=self.judge_scopes,
+            judge_pairs=self.judge_pairs,
         )
 
 

@@ -56,6 +56,10 @@ contain every flip of one axis, the flip of all three, and every permutation, wi
 """
 
 
+SOAK = dict.fromkeys(("ikj", "jik", "jki"), pytest.mark.soak)
+"""Permutations that only `make soak` tests; the cyclic one *kij* and the exchange *kji* stay in `make test`."""
+
+
 def stored(image, how):
     """Return the same chest in another storage order; only the file changes, not the patient."""
     if how in FLIPS:
@@ -106,7 +110,8 @@ def reference(phantom):
 
 @pytest.fixture(
     scope="module",
-    params=[(how, ".nrrd") for how in STORED] + [("kij flip i", ".nii.gz"), ("oblique", ".nii.gz"), ("flip i", ".mha")],
+    params=[pytest.param((how, ".nrrd"), marks=SOAK.get(how, ())) for how in STORED]
+    + [("kij flip i", ".nii.gz"), ("oblique", ".nii.gz"), ("flip i", ".mha")],
     ids=" as ".join,
 )
 def found(request, phantom, image, tmp_path_factory):

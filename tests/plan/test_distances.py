@@ -165,7 +165,7 @@ def test_distances_along_routes_of_other_phantoms_increase_and_do_not_exceed_the
     assert_consistent(found, planned, judge_scopes(found.tree, planned, wall, scopes=scopes) if planned.routes else ())
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=15, deadline=None)
 @given(st.integers(0, 10_000), st.floats(0.0, 14.0))
 def test_distances_of_turns_from_the_carina_ridge_increase_and_add_up_in_random_trees(
     seed: int, ridge_mm: float

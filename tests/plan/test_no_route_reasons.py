@@ -34,6 +34,7 @@ def airways() -> Airways:
     return cached_airways(**CHEST)
 
 
+@cache
 def far_off() -> np.ndarray:
     """Return a point in the right lung that is farther from every airway than a needle reaches."""
     points = np.concatenate([one.points for one in airways().tree.branches])

@@ -278,7 +278,7 @@ def test_best_route_to_each_aim_is_listed_and_states_its_aim() -> None:
     volume, airways, nodule = cached_phantom(**CHEST).volume, cached_airways(**CHEST), plan().nodule
     centre = np.array(nodule.centre_lps)
     aims = [centre, centre - [0.0, 5.0, 0.0], centre - [0.0, 0.0, 5.0]]
-    found = plan_route(volume, airways, nodule, aims=aims, wall=wall())
+    found = plan_route(volume, airways, nodule, aims=aims, wall=wall(), drives=0)
     assert np.allclose(found.aims, aims) and {route.aim for route in found.routes} == {0, 1, 2}
     for route in found.routes:
         aimed = np.allclose(route.leg.aim_lps, aims[route.aim])
@@ -289,7 +289,7 @@ def test_best_route_to_each_aim_is_listed_and_states_its_aim() -> None:
             np.degrees(np.arccos(along @ route.forward / np.linalg.norm(along))), abs=0.1
         )
     assert len({route.key for route in found.routes}) == len(found.routes)
-    alone = plan_route(volume, airways, nodule, aims=aims[1], wall=wall()).routes[0]
+    alone = plan_route(volume, airways, nodule, aims=aims[1], wall=wall(), drives=0).routes[0]
     assert alone.leg == next(route for route in found.routes if route.aim == 1).leg
     assert plan().routes[0].key == next(route for route in found.routes if route.aim == 0).key
     with pytest.raises(UsageError, match=r"lies \d+\.\d mm outside the target"):
@@ -303,12 +303,9 @@ def test_compared_tools_are_those_that_pass_the_channel_and_reach_the_target() -
         reach = {one.name for one in tools() if one.pierces and one.reach_mm >= route.leg.to_target_mm}
         assert set(route.tools) == reach, "all needles pass 2.0 mm; no other tool leaves the lumen"
     narrow = dataclasses.replace(scope_preset("thin"), channel_mm=1.2)
-    assert (
-        plan_route(cached_phantom(**CHEST).volume, cached_airways(**CHEST), plan().nodule, scope=narrow, wall=wall())
-        .routes[0]
-        .tools
-        == ()
-    )
+    volume, airways = cached_phantom(**CHEST).volume, cached_airways(**CHEST)
+    (first, *_) = plan_route(volume, airways, plan().nodule, scope=narrow, wall=wall(), drives=0).routes
+    assert first.tools == ()
 
 
 def test_forceps_reach_a_target_in_the_lumen_and_not_one_outside_it() -> None:
@@ -362,9 +359,8 @@ def test_route_along_a_drawn_bridged_or_doubtful_branch_has_a_doubt() -> None:
         ({"kind": "bridge"}, f"{name} is a bridge across an obstruction"),
         ({"confidence": 0.31}, f"{name} is doubtful: 31 % confidence"),
     ):
-        changed = plan_route(
-            cached_phantom(**CHEST).volume, retreed(airways, parent, **change), plan().nodule, wall=wall()
-        )
+        doubted = retreed(airways, parent, **change)
+        changed = plan_route(cached_phantom(**CHEST).volume, doubted, plan().nodule, wall=wall(), drives=0)
         route = next(one for one in changed.routes if one.branch_id == best.branch_id)
         assert any(doubt.startswith(text) for doubt in route.doubts)
     assert best.doubts == ()
@@ -388,7 +384,7 @@ def test_bronchus_sign_distinguishes_a_bronchus_that_enters_a_nodule_from_one_be
     middle = tip.points[len(tip.points) // 2]
 
     def sign(centre):
-        return plan_route(volume, airways, ellipsoid((4.0, 4.0, 4.0), centre), wall=wall())
+        return plan_route(volume, airways, ellipsoid((4.0, 4.0, 4.0), centre), wall=wall(), drives=0)
 
     into = sign(tip.points[-1] + 3.5 * ahead)
     assert (into.bronchus_sign, into.sign_branch) == ("into", tip.name or f"branch {tip.id}")
@@ -402,7 +398,8 @@ def test_default_movement_of_a_plan_is_larger_in_the_lower_than_in_the_upper_lob
     airways, volume = cached_airways(**CHEST), cached_phantom(**CHEST).volume
     for name, moved_mm in (("RLL", 20.0), ("RUL", 15.0)):
         place = airways.tree.named(name).points[-1]
-        assert plan_route(volume, airways, ellipsoid((3.0, 3.0, 3.0), place), wall=wall()).moved_mm == moved_mm
+        made = plan_route(volume, airways, ellipsoid((3.0, 3.0, 3.0), place), wall=wall(), drives=0)
+        assert made.moved_mm == moved_mm
 
 
 def test_plan_with_an_invalid_argument_is_refused_with_a_message() -> None:
@@ -537,7 +534,8 @@ def test_tissue_outside_the_examined_box_is_listed_neither_as_lung_nor_as_vessel
 def test_default_movement_of_a_plan_is_equal_in_left_and_right_lower_lobe() -> None:
     airways, volume = cached_airways(**CHEST), cached_phantom(**CHEST).volume
     place = airways.tree.named("LLL").points[-1]
-    assert plan_route(volume, airways, ellipsoid((3.0, 3.0, 3.0), place), wall=wall()).moved_mm == 20.0
+    made = plan_route(volume, airways, ellipsoid((3.0, 3.0, 3.0), place), wall=wall(), drives=0)
+    assert made.moved_mm == 20.0
 
 
 def test_plan_with_a_tool_of_unknown_diameter_is_refused() -> None:

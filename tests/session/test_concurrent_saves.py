@@ -329,7 +329,8 @@ def interleave(saved_case, folder, monkeypatch, seed):
     return ward
 
 
-@pytest.mark.parametrize("seed", range(20))
+# Three orders for each fault; `make soak` draws a thousand.
+@pytest.mark.parametrize("seed", range(9))
 def test_random_order_of_saves_by_two_programs_loses_no_saved_change(saved_case, tmp_path, monkeypatch, seed):
     interleave(saved_case, tmp_path, monkeypatch, seed)
 

@@ -98,6 +98,7 @@ def wall(chest: Chest) -> carina.WallField:
 @pytest.fixture(autouse=True)
 def quick(chest: Chest, wall: carina.WallField, monkeypatch: pytest.MonkeyPatch) -> None:
     """Search for airways and their wall once, drive along no route, and judge no instrument."""
+    monkeypatch.setattr("carina.plan.targets.from_click.wall_field", lambda _volume, _airways: wall)
     monkeypatch.setattr(carina, "find_airways", lambda _volume, **_options: chest.airways)
     monkeypatch.setattr(carina, "wall_field", lambda _volume, _airways, **_options: wall)
     monkeypatch.setattr(carina, "plan_route", partial(carina.plan_route, drives=0))

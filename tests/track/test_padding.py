@@ -61,7 +61,7 @@ def test_trachea_of_constant_value_is_not_detected_as_padding():
     assert padding_near(volume, [(20, 20, k) for k in range(29, -1, -1)]) is None
 
 
-@pytest.mark.parametrize("spacing_mm", [1.0, 1.5, 2.5, 4.0])
+@pytest.mark.parametrize("spacing_mm", [pytest.param(1.0, marks=pytest.mark.soak), 1.5, 2.5, 4.0])
 def test_phantom_without_noise_has_no_detected_padding(spacing_mm):
     made = generate_phantom(seed=1, spacing_mm=spacing_mm, generations=3, noise_hu=0)
     airways = find_airways(made.volume)
