@@ -359,7 +359,9 @@ GOOD: dict[str, Good] = {
     "WallField": Good(lambda t: {"core": t.wall.core}),
     "WallField.ball_mm": Good(lambda _: {"points_lps": [(0.0, 0.0, 0.0)]}, _wall),
     "WallField.distance_mm": Good(lambda _: {"points_lps": [(0.0, 0.0, 0.0)]}, _wall),
-    "WallField.with_tube": Good(lambda _: {"axis_lps": [(0.0, 0.0, 0.0), (0.0, 0.0, 1.0)], "radius_mm": [1.0, 1.0]}, _wall),
+    "WallField.with_tube": Good(
+        lambda _: {"axis_lps": [(0.0, 0.0, 0.0), (0.0, 0.0, 1.0)], "radius_mm": [1.0, 1.0]}, _wall
+    ),
     "WallField.from_distances": Good(lambda _: {"distance_mm_zyx": BALL, "lps_from_ijk": np.eye(4)}),
     "WallField.from_mesh": Good(lambda _: {"vertices_lps": CORNERS, "triangles": FACES}),
     # Pictures

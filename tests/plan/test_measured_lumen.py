@@ -8,8 +8,8 @@ import pickle
 import numpy as np
 import phantom_plan
 import pytest
-from cached_test_data import cached_phantom
 
+from cached_test_data import cached_phantom
 from carina.plan.routes.measured_lumen import MeasuredLumen, measured_lumen
 from carina.plan.routes.route_width import measures_of
 from carina.track import Branch

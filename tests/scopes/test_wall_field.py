@@ -77,7 +77,7 @@ def test_tube_has_its_full_radius_on_its_axis_and_never_narrows_the_lumen() -> N
     # Interpolation cuts off the peak of the sampled distance on the axis.
     assert wall.distance_mm(middle)[0] < 1.4
     wide = wall.with_tube(ends, [1.6, 1.8])
-    assert wide.distance_mm([middle, middle + [0.5, 0.0, 0.0]]) == pytest.approx([1.7, 1.2], abs=0.01)
+    assert wide.distance_mm([middle, middle + np.array([0.5, 0.0, 0.0])]) == pytest.approx([1.7, 1.2], abs=0.01)
     around = middle + np.random.default_rng(3).uniform(-1.5, 1.5, size=(500, 3))
     assert (wide.distance_mm(around) >= wall.distance_mm(around)).all()
     thin = wall.with_tube(ends, [0.3, 0.3])

@@ -74,7 +74,7 @@ class FoundSeries:
     @property
     def lps_from_ijk(self) -> NDArray[np.float64] | None:
         """Transform (4x4) from voxel centres to LPS mm; None if the series is refused."""
-        return None if self.stack is None else self.stack.lps_from_ijk
+        return None if self.stack is None else self.stack.grid.lps_from_ijk
 
     @property
     def name(self) -> str:
@@ -119,8 +119,8 @@ def _grid(group: Group, what: str) -> SliceStack:
             grid_from_slices(group.mixed_with, what=what)
         raise
     check_rescale_tags(found.slices, what)
-    if math.prod(found.shape_zyx) > MAX_VOXELS:
-        raise _too_large(what, found.shape_zyx[0])
+    if math.prod(found.grid.shape_zyx) > MAX_VOXELS:
+        raise _too_large(what, found.grid.shape_zyx[0])
     return found
 
 
@@ -199,13 +199,14 @@ def find_series(content: FolderContent, watch: Watch) -> list[FoundSeries]:
         series = FoundSeries(info, slices, notes=notes, missing=tuple(missing))
         try:
             stack = _grid(group, f"reading {_name(info)}")
+            slice_mm = float(np.linalg.norm(stack.grid.lps_from_ijk[:3, 2]))
             series = replace(
                 series,
                 info=replace(
                     info,
-                    shape_zyx=stack.shape_zyx,
-                    height_mm=round(float(np.linalg.norm(stack.lps_from_ijk[:3, 2])) * (stack.shape_zyx[0] - 1), 2),
-                    slice_distance_mm=round(float(np.linalg.norm(stack.lps_from_ijk[:3, 2])), 4),
+                    shape_zyx=stack.grid.shape_zyx,
+                    height_mm=round(slice_mm * (stack.grid.shape_zyx[0] - 1), 2),
+                    slice_distance_mm=round(slice_mm, 4),
                 ),
                 slices=stack.slices,
                 stack=stack,
@@ -411,7 +412,7 @@ def open_series(series: FoundSeries, *, others: Sequence[SeriesInfo], notes: tup
             "import.slices-odd", ("a slice differs from both its neighbours far more than they differ from each other")
         )
         compressed = any(is_compressed(header) for header in series.slices)
-        slice_mm = float(np.linalg.norm(stack.lps_from_ijk[:3, 2]))
+        slice_mm = float(np.linalg.norm(stack.grid.lps_from_ijk[:3, 2]))
         at_level = dict(zip(stack.levels, stack.slices, strict=True))
         found = odd_slices(values, compressed=compressed, slice_mm=slice_mm)
         doubts.extend((at_level[level], odd) for level in found if level in at_level)
@@ -443,7 +444,7 @@ def open_series(series: FoundSeries, *, others: Sequence[SeriesInfo], notes: tup
         tilt_deg=None if stack.tilt is None else round(stack.tilt.tilt_deg, 2),
     )
     watch.step("Reading the slices", 1.0)
-    return Volume(values, stack.lps_from_ijk, is_hu=verdict.is_hu, not_hu_reason=verdict.reason, source=source)
+    return Volume(values, stack.grid.lps_from_ijk, is_hu=verdict.is_hu, not_hu_reason=verdict.reason, source=source)
 
 
 def _common_thickness_mm(slices: Sequence[SliceHeader]) -> float | None:
@@ -476,7 +477,7 @@ def _read_slices(
         before = header, numbers
         # Allocated after the first slice, so that an unreadable one does not cost the memory of the volume.
         if values is None:
-            values = np.empty(stack.shape_zyx, dtype=np.int16)
+            values = np.empty(stack.grid.shape_zyx, dtype=np.int16)
         if numbers.dtype.kind == "f":
             numbers = np.rint(numbers)
         numbers = clipping.clip(header, numbers)

@@ -28,6 +28,7 @@ from numpy.typing import NDArray
 from carina.errors import VolumeImportError
 from carina.volume.axis_angles import MAX_LEAN_MM, MAX_SKEW_DEG
 from carina.volume.dicom_headers import SliceHeader
+from carina.volume.digest import Geometry
 from carina.volume.missing_slices import fillable_levels, interpolated_note, missing_levels
 from carina.volume.model import Note
 from carina.volume.tilt_correction import MAX_TILT_DEG, TiltShifts
@@ -41,10 +42,8 @@ class SliceStack:
 
     slices: tuple[SliceHeader, ...]
     """Slices sorted by position along (row x column)."""
-    lps_from_ijk: NDArray[np.float64]
-    """Transform (4x4) from voxel centres of the volume to LPS mm."""
-    shape_zyx: tuple[int, int, int]
-    """Shape of the volume."""
+    grid: Geometry
+    """Grid of the volume."""
     levels: tuple[int, ...]
     """Index of each slice in the volume."""
     tilt: TiltShifts | None = None
@@ -58,7 +57,7 @@ class SliceStack:
     @property
     def is_corrected(self) -> bool:
         """Whether voxels of the volume are not pixels of the slices."""
-        return self.tilt is not None or len(self.levels) < self.shape_zyx[0]
+        return self.tilt is not None or len(self.levels) < self.grid.shape_zyx[0]
 
     @property
     def notes(self) -> tuple[Note, ...]:
@@ -71,7 +70,7 @@ class SliceStack:
             )
             notes.append(Note("import.tilt-corrected", words, badge=True))
         if self.missing:
-            notes.append(interpolated_note(self.missing, self.shape_zyx[0]))
+            notes.append(interpolated_note(self.missing, self.grid.shape_zyx[0]))
         return tuple(notes)
 
 
@@ -243,4 +242,4 @@ def grid_from_slices(slices: Sequence[SliceHeader], *, what: str, fills_gaps: bo
         lps_from_ijk[:3, 2] = normal * height / levels[-1]
         lps_from_ijk[:3, 3] += lps_from_ijk[:3, :2] @ np.array(tilt.first_yx[::-1], dtype=np.float64)
     shape_zyx = (int(levels[-1]) + 1, *shape_yx)
-    return SliceStack(tuple(ordered), lps_from_ijk, shape_zyx, tuple(levels.tolist()), tilt)
+    return SliceStack(tuple(ordered), Geometry(shape_zyx, lps_from_ijk), tuple(levels.tolist()), tilt)
