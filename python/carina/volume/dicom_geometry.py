@@ -28,6 +28,7 @@ from numpy.typing import NDArray
 from carina.errors import VolumeImportError
 from carina.volume.axis_angles import MAX_LEAN_MM, MAX_SKEW_DEG
 from carina.volume.dicom_headers import SliceHeader
+from carina.volume.digest import Geometry
 from carina.volume.missing_slices import fillable_levels, interpolated_note, missing_levels
 from carina.volume.model import Note
 from carina.volume.tilt_correction import MAX_TILT_DEG, TiltShifts
@@ -41,14 +42,22 @@ class SliceStack:
 
     slices: tuple[SliceHeader, ...]
     """Slices sorted by position along (row x column)."""
-    lps_from_ijk: NDArray[np.float64]
-    """Transform (4x4) from voxel centres of the volume to LPS mm."""
-    shape_zyx: tuple[int, int, int]
-    """Shape of the volume."""
+    grid: Geometry
+    """Shape of the volume, and its transform from voxel centres to LPS mm."""
     levels: tuple[int, ...]
     """Index of each slice in the volume."""
     tilt: TiltShifts | None = None
     """Correction of the gantry tilt; None for a rectangular stack."""
+
+    @property
+    def lps_from_ijk(self) -> NDArray[np.float64]:
+        """Transform (4x4) from voxel centres of the volume to LPS mm."""
+        return self.grid.lps_from_ijk
+
+    @property
+    def shape_zyx(self) -> tuple[int, int, int]:
+        """Shape of the volume."""
+        return self.grid.shape_zyx
 
     @property
     def missing(self) -> tuple[int, ...]:
@@ -243,4 +252,4 @@ def grid_from_slices(slices: Sequence[SliceHeader], *, what: str, fills_gaps: bo
         lps_from_ijk[:3, 2] = normal * height / levels[-1]
         lps_from_ijk[:3, 3] += lps_from_ijk[:3, :2] @ np.array(tilt.first_yx[::-1], dtype=np.float64)
     shape_zyx = (int(levels[-1]) + 1, *shape_yx)
-    return SliceStack(tuple(ordered), lps_from_ijk, shape_zyx, tuple(levels.tolist()), tilt)
+    return SliceStack(tuple(ordered), Geometry(shape_zyx, lps_from_ijk), tuple(levels.tolist()), tilt)
