@@ -1,7 +1,7 @@
 """Corpus of generated input files, each with the answer that the importer must give.
 
-``test_corpus.py`` and the page ``docs/import-answers.md`` use this table. ``corpus_dicom.py``, ``corpus_enhanced.py``
-and ``corpus_grids.py`` contain the entries; no entry contains data of a patient.
+``test_corpus.py`` and the page ``docs/import-answers.md`` use this table. The files ``corpus_*.py``
+contain the entries; no entry contains data of a patient.
 
 ``python tests/volume/corpus.py`` rewrites the tables of the page.
 """
@@ -20,7 +20,7 @@ import numpy as np
 __all__ = ["PAGE", "Input", "all_inputs", "numbered_remedies", "page_with_tables", "sentences", "tables"]
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "import-answers.md"
-_SOURCES = ("corpus_dicom", "corpus_enhanced", "corpus_grids")
+_SOURCES = ("corpus_dicom", "corpus_enhanced", "corpus_archives", "corpus_grids")
 
 
 @dataclass(frozen=True)

@@ -43,11 +43,21 @@ class SliceStack:
     slices: tuple[SliceHeader, ...]
     """Slices sorted by position along (row x column)."""
     grid: Geometry
-    """Grid of the volume."""
+    """Shape of the volume, and its transform from voxel centres to LPS mm."""
     levels: tuple[int, ...]
     """Index of each slice in the volume."""
     tilt: TiltShifts | None = None
     """Correction of the gantry tilt; None for a rectangular stack."""
+
+    @property
+    def lps_from_ijk(self) -> NDArray[np.float64]:
+        """Transform (4x4) from voxel centres of the volume to LPS mm."""
+        return self.grid.lps_from_ijk
+
+    @property
+    def shape_zyx(self) -> tuple[int, int, int]:
+        """Shape of the volume."""
+        return self.grid.shape_zyx
 
     @property
     def missing(self) -> tuple[int, ...]:
@@ -57,7 +67,7 @@ class SliceStack:
     @property
     def is_corrected(self) -> bool:
         """Whether voxels of the volume are not pixels of the slices."""
-        return self.tilt is not None or len(self.levels) < self.grid.shape_zyx[0]
+        return self.tilt is not None or len(self.levels) < self.shape_zyx[0]
 
     @property
     def notes(self) -> tuple[Note, ...]:
@@ -70,7 +80,7 @@ class SliceStack:
             )
             notes.append(Note("import.tilt-corrected", words, badge=True))
         if self.missing:
-            notes.append(interpolated_note(self.missing, self.grid.shape_zyx[0]))
+            notes.append(interpolated_note(self.missing, self.shape_zyx[0]))
         return tuple(notes)
 
 
