@@ -117,6 +117,7 @@ def test_tap_on_a_branch_in_list_or_tree_chooses_the_route_to_it(server, browser
         page.goto(server.url.split("?")[0])
         page.wait_for_function("() => window.__carina?.state.tree != null && window.__carina.state.route !== null")
         before = page.evaluate(f"() => {ROUTE_END}")
+        page.get_by_role("button", name="Airways", exact=True).first.tap()
         row = page.locator(".branch-tree [data-branch]").nth(3)
         chosen = int(row.get_attribute("data-branch"))
         row.tap()
@@ -125,8 +126,13 @@ def test_tap_on_a_branch_in_list_or_tree_chooses_the_route_to_it(server, browser
         )
         assert page.evaluate(f"() => {ROUTE_END}") != before
         canvas = page.locator("canvas[data-view=tree]")
-        canvas.scroll_into_view_if_needed()
-        page.wait_for_function("() => document.querySelector('canvas[data-view=tree]').dataset.full === 'true'")
+        page.get_by_test_id("view-tab-outside").tap()
+        page.wait_for_function(
+            """() => {
+                const tree = document.querySelector('canvas[data-view=tree]');
+                return tree.dataset.full === 'true' && tree.getBoundingClientRect().right <= innerWidth + 1;
+            }"""
+        )
         trachea = 0
         box = canvas.bounding_box()
         page.touchscreen.tap(box["x"] + 0.5 * box["width"], box["y"] + 0.25 * box["height"])

@@ -26,8 +26,5 @@ export function ViewTabs() {
 }
 
 function scrollTo(cell: SideCell): void {
-  const calm = window.matchMedia("(prefers-reduced-motion: reduce)").matches;
-  document
-    .querySelector(`.cell[data-cell="${cell}"]`)
-    ?.scrollIntoView({ inline: "start", block: "nearest", behavior: calm ? "auto" : "smooth" });
+  document.querySelector(`.cell[data-cell="${cell}"]`)?.scrollIntoView({ inline: "start", block: "nearest" });
 }
