@@ -10,7 +10,6 @@ import pytest
 
 from carina.render import AirwayView, Renderer, TransferFunction
 from carina.render.leap_choice import (
-    LEAPING_METHODS,
     MAX_VIEWS,
     MIN_GAIN,
     MORE_ROUNDS,
@@ -18,7 +17,7 @@ from carina.render.leap_choice import (
     ROUNDS,
     STRIPS,
     LeapChoice,
-    fastest_method,
+    is_faster,
 )
 from carina.render.scene import ValueMaps
 from carina.scopes import DepthOfField, Pose
@@ -30,24 +29,17 @@ DIAGONAL_MM = 200.0
 class Costs:
     """Costs of strips that do not depend on time, and the number of strips that were measured."""
 
-    def __init__(self, leap, brute, prefetched=2.0):
-        self.leap, self.brute, self.prefetched, self.calls = leap, brute, prefetched, 0
+    def __init__(self, leap, brute):
+        self.leap, self.brute, self.calls = leap, brute, 0
 
-    def __call__(self, rows, method):
+    def __call__(self, rows, leaps):
         assert 0 <= rows[0] < rows[1]
         self.calls += 1
-        if method == "brute":
-            return self.brute(rows)
-        return self.leap(rows) * (self.prefetched if method == "prefetch" else 1.0)
+        return self.leap(rows) if leaps else self.brute(rows)
 
 
-def constant(leap, brute, prefetched=2.0):
-    return Costs(lambda _rows: leap, lambda _rows: brute, prefetched)
-
-
-def is_faster(height, costs):
-    """Return whether leaps without prefetching are the fastest method."""
-    return fastest_method(height, costs) == "leap"
+def constant(leap, brute):
+    return Costs(lambda _rows: leap, lambda _rows: brute)
 
 
 @pytest.fixture
@@ -62,8 +54,8 @@ def view_at(x_mm=0.0, direction=(0.0, 0.0, 1.0), size=64):
 
 @pytest.mark.parametrize("leap", [0.5, 0.999 - MIN_GAIN, 1.001 - MIN_GAIN, 1.0, 2.0])
 def test_leaps_are_chosen_if_they_save_the_least_gain(scene, leap):
-    choice = LeapChoice().method(scene, view_at(), constant(leap, 1.0), diagonal_mm=DIAGONAL_MM)
-    assert choice == ("leap" if leap < 1.0 - MIN_GAIN else "brute")
+    choice = LeapChoice().leaps(scene, view_at(), constant(leap, 1.0), diagonal_mm=DIAGONAL_MM)
+    assert choice is (leap < 1.0 - MIN_GAIN)
 
 
 def test_costs_are_summed_over_strips_of_the_whole_picture():
@@ -80,70 +72,61 @@ def test_interrupted_measurement_of_a_strip_does_not_change_the_choice():
 
 
 def test_close_costs_are_measured_in_further_rounds():
-    disturbed = itertools.chain([1.2] * (2 * ROUNDS * STRIPS), itertools.repeat(1.0))
+    disturbed = itertools.chain([1.2] * (ROUNDS * STRIPS), itertools.repeat(1.0))
     costs = Costs(lambda _rows: next(disturbed), lambda _rows: 1.15)
     assert is_faster(64, costs)
-    assert costs.calls == (3 * ROUNDS + 2 * MORE_ROUNDS) * STRIPS
+    assert costs.calls == 2 * (ROUNDS + MORE_ROUNDS) * STRIPS
     clear = constant(1.0, 1.3)
     assert is_faster(64, clear)
-    assert clear.calls == 3 * ROUNDS * STRIPS
-
-
-@pytest.mark.parametrize(("prefetched", "expected"), [(0.9, "prefetch"), (0.99, "leap"), (1.1, "leap")])
-def test_prefetching_is_chosen_if_it_saves_the_least_gain(scene, prefetched, expected):
-    costs = constant(1.0, 2.0, prefetched)
-    assert LeapChoice().method(scene, view_at(), costs, diagonal_mm=DIAGONAL_MM) == expected
-    # A forced leap is never replaced by brute force.
-    forced = LeapChoice(LEAPING_METHODS)
-    assert forced.method(scene, view_at(), constant(1.0, 0.1, prefetched), diagonal_mm=DIAGONAL_MM) == expected
+    assert clear.calls == 2 * ROUNDS * STRIPS
 
 
 def test_one_view_is_measured_once_and_its_choice_stays(scene):
     choice, costs = LeapChoice(), constant(1.0, 2.0)
-    assert choice.method(scene, view_at(), costs, diagonal_mm=DIAGONAL_MM) == "leap"
+    assert choice.leaps(scene, view_at(), costs, diagonal_mm=DIAGONAL_MM)
     calls = costs.calls
-    assert calls == 3 * ROUNDS * STRIPS
+    assert calls == 2 * ROUNDS * STRIPS
     later = constant(2.0, 1.0)
     for _ in range(3 * PICTURES_BETWEEN):
-        assert choice.method(scene, view_at(), later, diagonal_mm=DIAGONAL_MM) == "leap"
+        assert choice.leaps(scene, view_at(), later, diagonal_mm=DIAGONAL_MM)
     assert later.calls == 0
 
 
 def test_views_near_the_measured_one_are_measured_again_only_after_some_pictures(scene):
     choice = LeapChoice()
-    choice.method(scene, view_at(), constant(1.0, 2.0), diagonal_mm=DIAGONAL_MM)
+    choice.leaps(scene, view_at(), constant(1.0, 2.0), diagonal_mm=DIAGONAL_MM)
     later = constant(2.0, 1.0)
     chosen = [
-        choice.method(scene, view_at(0.1 * n), later, diagonal_mm=DIAGONAL_MM) for n in range(1, PICTURES_BETWEEN + 2)
+        choice.leaps(scene, view_at(0.1 * n), later, diagonal_mm=DIAGONAL_MM) for n in range(1, PICTURES_BETWEEN + 2)
     ]
-    assert chosen == ["leap"] * PICTURES_BETWEEN + ["brute"]
+    assert chosen == [True] * PICTURES_BETWEEN + [False]
 
 
 @pytest.mark.parametrize("view", [view_at(0.2 * DIAGONAL_MM), view_at(direction=(1.0, 0.0, 0.5))])
 def test_camera_that_has_moved_or_turned_far_is_measured_again(scene, view):
     choice = LeapChoice()
-    assert choice.method(scene, view_at(), constant(1.0, 2.0), diagonal_mm=DIAGONAL_MM) == "leap"
-    assert choice.method(scene, view, constant(2.0, 1.0), diagonal_mm=DIAGONAL_MM) == "brute"
+    assert choice.leaps(scene, view_at(), constant(1.0, 2.0), diagonal_mm=DIAGONAL_MM)
+    assert not choice.leaps(scene, view, constant(2.0, 1.0), diagonal_mm=DIAGONAL_MM)
 
 
 def test_another_transfer_function_or_map_is_measured_again(scene):
     choice = LeapChoice()
     maps, transfer = scene
-    assert choice.method(scene, view_at(), constant(1.0, 2.0), diagonal_mm=DIAGONAL_MM) == "leap"
+    assert choice.leaps(scene, view_at(), constant(1.0, 2.0), diagonal_mm=DIAGONAL_MM)
     for other in ((maps, dataclasses.replace(transfer)), (dataclasses.replace(maps), transfer)):
-        assert choice.method(other, view_at(), constant(2.0, 1.0), diagonal_mm=DIAGONAL_MM) == "brute"
+        assert not choice.leaps(other, view_at(), constant(2.0, 1.0), diagonal_mm=DIAGONAL_MM)
 
 
 def test_small_picture_is_not_measured(scene):
     costs = constant(1.0, 2.0)
-    assert LeapChoice().method(scene, view_at(size=48), costs, diagonal_mm=DIAGONAL_MM) is None
+    assert LeapChoice().leaps(scene, view_at(size=48), costs, diagonal_mm=DIAGONAL_MM) is None
     assert costs.calls == 0
 
 
 def test_number_of_stored_choices_is_limited(scene):
     choice = LeapChoice()
     for n in range(2 * MAX_VIEWS):
-        choice.method(scene, view_at(100.0 * n), constant(1.0, 2.0), diagonal_mm=DIAGONAL_MM)
+        choice.leaps(scene, view_at(100.0 * n), constant(1.0, 2.0), diagonal_mm=DIAGONAL_MM)
     assert len(choice._chosen) == MAX_VIEWS
 
 
@@ -164,8 +147,7 @@ def paper_renderer(airway):
 
 @pytest.mark.parametrize("leaps", [True, False])
 def test_automatic_picture_is_that_of_the_chosen_method_also_in_strips(airway, paper_renderer, monkeypatch, leaps):
-    method = "leap" if leaps else "brute"
-    monkeypatch.setattr("carina.render.leap_choice.fastest_method", lambda _height, _cost, _methods: method)
+    monkeypatch.setattr("carina.render.leap_choice.is_faster", lambda _height, _cost: leaps)
     automatic = AirwayView(airway.pose, width=96, height=64)
     forced = dataclasses.replace(automatic, method="leap-always" if leaps else "brute")
     expected = paper_renderer.render(forced)
@@ -195,15 +177,3 @@ def test_picture_with_depth_of_field_is_that_of_a_method(airway, paper_renderer)
     automatic = paper_renderer.render(blurred)
     methods = [dataclasses.replace(blurred, method=method) for method in ("leap-always", "brute")]
     assert any(np.array_equal(automatic.rgb, paper_renderer.render(view).rgb) for view in methods)
-
-
-def test_prefetched_picture_equals_that_of_leaps_without_prefetching(airway, paper_renderer, monkeypatch):
-    view = AirwayView(airway.pose, width=96, height=64, method="leap-always")
-    pictures = []
-    for method in LEAPING_METHODS:
-        monkeypatch.setattr("carina.render.leap_choice.fastest_method", lambda _h, _c, _m, method=method: method)
-        paper_renderer._airway._leaping_choice = LeapChoice(LEAPING_METHODS)
-        pictures.append(paper_renderer.render(view))
-    assert pictures[0].stats.num_leaps > 0
-    np.testing.assert_array_equal(pictures[0].rgb, pictures[1].rgb)
-    assert pictures[0].stats.num_lookups == pictures[1].stats.num_lookups

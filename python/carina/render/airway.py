@@ -13,7 +13,7 @@ from carina import _core
 from carina.errors import RenderError
 from carina.render.appearance import FROM_TREE, Appearance, DecorationName
 from carina.render.graphics_device import DeviceCaster
-from carina.render.leap_choice import LEAPING_METHODS, CastMethod, LeapChoice, processor_time_of
+from carina.render.leap_choice import LeapChoice, processor_time_of
 from carina.render.processor_choice import Backend
 from carina.render.scene import Scene, ValueMaps
 from carina.render.surface import Hit, Surface
@@ -37,7 +37,6 @@ class AirwayCaster:
         )
         self._swap = threading.Lock()
         self._choice = LeapChoice()
-        self._leaping_choice = LeapChoice(LEAPING_METHODS)
         self._diagonal_mm = float(np.linalg.norm(np.array(volume.shape_zyx[::-1]) * volume.spacing_mm))
         self._bricks: tuple[NDArray[np.int16], _core.Bricks] | None = None
         self._tables: dict[tuple[int, int, float, int], tuple[TransferFunction, _core.TransferTable]] = {}
@@ -53,8 +52,8 @@ class AirwayCaster:
         """Return the picture of an airway view, or only its rows ``rows[0]`` to ``rows[1]``."""
 
         def cast(scene: Scene, view: AirwayView, gpu: _core.GpuScene | None) -> Picture:
-            chosen = None if gpu is not None else self._chosen_method(scene, view)
-            return self._cast(scene, view, rows=rows, stop=stop, gpu=gpu, chosen=chosen)
+            leaps = None if gpu is not None else self.leaps_are_faster(scene, view)
+            return self._cast(scene, view, rows=rows, stop=stop, gpu=gpu, leaps=leaps)
 
         method, _ = _choose_method(scene, view, _needs_shading(scene, view))
         # Method "leap-all" (leaps over all classes) exists on the CPU only.
@@ -74,22 +73,16 @@ class AirwayCaster:
         The choice depends on the machine and its load. Pictures by both methods differ by at most one grey level in one
         of 10,000 pixels; where equal bytes matter, choose the method ``leap-always`` or ``brute``.
         """
-        chosen = self._chosen_method(scene, view) if view.method == "leap" else None
-        return None if chosen is None else chosen != "brute"
-
-    def _chosen_method(self, scene: Scene, view: AirwayView) -> CastMethod | None:
-        """Return the fastest method of those that a view admits; None if nothing is to be measured."""
         maps = scene.class_maps
-        choice = {"leap": self._choice, "leap-always": self._leaping_choice}.get(view.method)
-        if choice is None or not isinstance(maps, ValueMaps):
+        if view.method != "leap" or not isinstance(maps, ValueMaps):
             return None
 
-        def cost_of(rows: tuple[int, int], method: CastMethod) -> float:
+        def cost_of(rows: tuple[int, int], leaps: bool) -> float:
             # Depth of field is added to the whole picture after the cast, so it does not affect the choice.
             sharp = dataclasses.replace(view, depth_of_field=None)
-            return processor_time_of(lambda: self._cast(scene, sharp, rows=rows, chosen=method))
+            return processor_time_of(lambda: self._cast(scene, sharp, rows=rows, leaps=leaps))
 
-        return choice.method((maps, scene.transfer), view, cost_of, diagonal_mm=self._diagonal_mm)
+        return self._choice.leaps((maps, scene.transfer), view, cost_of, diagonal_mm=self._diagonal_mm)
 
     def _cast(
         self,
@@ -99,9 +92,9 @@ class AirwayCaster:
         rows: tuple[int, int] | None = None,
         stop: _core.CancelToken | None = None,
         gpu: _core.GpuScene | None = None,
-        chosen: CastMethod | None = None,
+        leaps: bool | None = None,
     ) -> Picture:
-        """Cast a picture by a chosen method; None lets trial rays decide."""
+        """Cast a picture; ``leaps`` selects leaps or brute force, None lets trial rays decide."""
         nearest = scene.transfer.sampling == "nearest"
         step_vox = 1.0 if nearest else view.step_vox
         shading = _needs_shading(scene, view)
@@ -123,15 +116,14 @@ class AirwayCaster:
             appearance=appearance,
             decoration=None if appearance is None else scene.decoration,
             nearest=nearest,
-            leap=None if chosen == "brute" else leap,
+            leap=None if leaps is False else leap,
             simd=self._simd,
             stop=stop,
             lens=lens,
             darken=view.depth_of_field is None,
             gpu=gpu,
             stop_transparency=view.stop_transparency,
-            always_leap=chosen in LEAPING_METHODS or view.method == "leap-always",
-            prefetch=chosen == "prefetch",
+            always_leap=leaps is True or view.method == "leap-always",
             bricks=self._shared_bricks(scene),
         )
         method = method if gpu is None else f"gpu-{method}"

@@ -1,4 +1,4 @@
-"""Choice between brute force and leaps over equal values, with or without prefetching, by their times in a view."""
+"""Choice between leaps over equal values and brute force, by the times of both in the view."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ import math
 import threading
 import time
 from collections.abc import Callable
-from typing import Literal
 
 import numpy as np
 
@@ -18,7 +17,7 @@ from carina.scopes import Pose
 
 MIN_PIXELS = 64 * 64
 """Number of pixels below which a measurement takes longer than it saves; the trial rays decide there."""
-PICTURES_BETWEEN = 32
+PICTURES_BETWEEN = 16
 """Number of pictures along a flight for which one measurement serves."""
 NEAR_TURN_RAD = 0.25
 """Turn of the camera beyond which a measurement does not serve."""
@@ -39,39 +38,28 @@ MIN_GAIN = 0.02
 MAX_VIEWS = 64
 """Number of views whose choice is stored."""
 
-CastMethod = Literal["brute", "leap", "prefetch"]
-"""Method of a cast: brute force, leaps, or leaps whose next reads are prefetched while other rays are cast."""
-ALL_METHODS: tuple[CastMethod, ...] = ("brute", "leap", "prefetch")
-LEAPING_METHODS: tuple[CastMethod, ...] = ("leap", "prefetch")
-"""Methods with leaps; both give the same picture, bit for bit."""
-CostOf = Callable[[tuple[int, int], CastMethod], float]
-"""Function that returns the cost of rows by a method."""
+CostOf = Callable[[tuple[int, int], bool], float]
+"""Function that returns the cost of rows with leaps (True) or by brute force (False)."""
 
 
 class LeapChoice:
-    """Choice of the fastest method for views of one volume, measured once for views that are near each other.
+    """Choice of the faster method for views of one volume, measured once for views that are near each other.
 
     All strips of a view and the whole picture have the same choice, so that they fit together bit for bit.
-
-    Parameters
-    ----------
-    methods
-        Methods to choose from.
     """
 
-    def __init__(self, methods: tuple[CastMethod, ...] = ALL_METHODS) -> None:
-        self._methods = methods
+    def __init__(self) -> None:
         self._lock = threading.Lock()
         self._scene: tuple[ValueMaps, TransferFunction] | None = None
-        self._chosen: dict[bytes, CastMethod] = {}
+        self._chosen: dict[bytes, bool] = {}
         self._measured: Pose | None = None
-        self._last: CastMethod = "leap"
+        self._last = True
         self._pictures = 0
 
-    def method(
+    def leaps(
         self, scene: tuple[ValueMaps, TransferFunction], view: AirwayView, cost_of: CostOf, *, diagonal_mm: float
-    ) -> CastMethod | None:
-        """Return the fastest method in a view; None if the picture is too small for a measurement."""
+    ) -> bool | None:
+        """Return whether leaps are faster in a view; None if the picture is too small for a measurement."""
         if view.width * view.height < MIN_PIXELS or view.height < STRIPS * STRIP_ROWS:
             return None
         key = repr((view.width, view.height, view.fov_deg, view.lens)).encode() + view.pose.lps_from_camera.tobytes()
@@ -84,12 +72,12 @@ class LeapChoice:
                 chosen = self._choose(key, self._last)
         if chosen is not None:
             return chosen
-        fastest = fastest_method(view.height, cost_of, self._methods)
+        faster = is_faster(view.height, cost_of)
         with self._lock:
             if not self._is_for(scene):
-                return fastest
-            self._measured, self._last, self._pictures = view.pose, fastest, 0
-            return self._choose(key, fastest)
+                return faster
+            self._measured, self._last, self._pictures = view.pose, faster, 0
+            return self._choose(key, faster)
 
     def _is_for(self, scene: tuple[ValueMaps, TransferFunction]) -> bool:
         # The entry holds references to its maps and transfer function, so no others can have their identity.
@@ -104,42 +92,35 @@ class LeapChoice:
         turned_rad = float(np.arccos(np.clip(now[:3, 2] @ before[:3, 2], -1.0, 1.0)))
         return moved_mm <= NEAR_SHARE * diagonal_mm and turned_rad <= NEAR_TURN_RAD
 
-    def _choose(self, key: bytes, method: CastMethod) -> CastMethod:
+    def _choose(self, key: bytes, leaps: bool) -> bool:
         """Store the choice for a view unless another thread has stored one, and return the stored choice."""
         if len(self._chosen) >= MAX_VIEWS:
             del self._chosen[next(iter(self._chosen))]
-        return self._chosen.setdefault(key, method)
+        return self._chosen.setdefault(key, leaps)
 
 
-def fastest_method(height: int, cost_of: CostOf, methods: tuple[CastMethod, ...] = ALL_METHODS) -> CastMethod:
-    """Return the method that costs least in strips that are spread over a picture of ``height`` rows.
+def is_faster(height: int, cost_of: CostOf) -> bool:
+    """Return whether leaps cost less than brute force in strips that are spread over a picture of ``height`` rows.
 
-    Leaps must save `MIN_GAIN` of the cost of brute force, and prefetching that of leaps without it. If the costs of
-    brute force and leaps are close, `MORE_ROUNDS` further rounds are timed.
+    Leaps must save `MIN_GAIN` of the cost. If the costs are close, `MORE_ROUNDS` further rounds are timed.
     """
     firsts = [min((2 * n + 1) * height // (2 * STRIPS), height - STRIP_ROWS) for n in range(STRIPS)]
     strips = [(first, first + STRIP_ROWS) for first in firsts]
-    least = {method: dict.fromkeys(strips, math.inf) for method in methods}
+    least = {leaps: dict.fromkeys(strips, math.inf) for leaps in (True, False)}
 
-    def time_rounds(turns: range, timed: tuple[CastMethod, ...]) -> None:
-        for turn in turns:
-            # The methods rotate, and all strips lie between two times of one strip, so that a strip is as rarely in the
-            # caches as in a whole picture.
-            shift = turn % len(timed)
-            for method in timed[shift:] + timed[:shift]:
-                for rows in strips:
-                    least[method][rows] = min(least[method][rows], cost_of(rows, method))
+    def time_rounds(turns: range) -> tuple[float, float]:
+        """Time all strips in further rounds, and return the costs with leaps and by brute force."""
+        for rows in strips:
+            for turn in turns:
+                # The first method of a round finds less of the volume in the caches, so the methods alternate.
+                for leaps in (turn % 2 == 0, turn % 2 == 1):
+                    least[leaps][rows] = min(least[leaps][rows], cost_of(rows, leaps))
+        return sum(least[True].values()), sum(least[False].values())
 
-    def cost(method: CastMethod) -> float:
-        return sum(least[method].values())
-
-    time_rounds(range(ROUNDS), methods)
-    leaping: CastMethod = "prefetch" if cost("prefetch") < (1.0 - MIN_GAIN) * cost("leap") else "leap"
-    if "brute" not in methods:
-        return leaping
-    if max(cost(leaping), cost("brute")) < CLOSE_RATIO * min(cost(leaping), cost("brute")):
-        time_rounds(range(MORE_ROUNDS), ("brute", leaping))
-    return leaping if cost(leaping) < (1.0 - MIN_GAIN) * cost("brute") else "brute"
+    leaping, brute = time_rounds(range(ROUNDS))
+    if max(leaping, brute) < CLOSE_RATIO * min(leaping, brute):
+        leaping, brute = time_rounds(range(ROUNDS, ROUNDS + MORE_ROUNDS))
+    return leaping < (1.0 - MIN_GAIN) * brute
 
 
 def processor_time_of(cast: Callable[[], object]) -> float:

@@ -48,7 +48,7 @@ use out::{Out, Rgb8, Walls};
 #[cfg(target_arch = "x86_64")]
 use pair::Pair;
 pub(crate) use plane::{PlaneTiles, TILE_ROWS};
-use scene::{BRUTE, CLASSES, Scene, TRANSPARENT, VALUES, VALUES_PREFETCHED};
+use scene::{BRUTE, CLASSES, Scene, TRANSPARENT, VALUES};
 pub(crate) use source::BAND_ROWS;
 use source::Source;
 use voxels::Voxels;
@@ -99,11 +99,7 @@ impl<'a> Packets<'a> {
             Method::LeapClasses(map) if map.segments.entries().is_empty() => return None,
             Method::LeapClasses(map) => (CLASSES, map, class_margin(frame), 2),
             Method::LeapValues(map) => (
-                if map.prefetch {
-                    VALUES_PREFETCHED
-                } else {
-                    VALUES
-                },
+                VALUES,
                 ClassMap {
                     segments: map.segments,
                     ..none
@@ -230,9 +226,6 @@ impl<'a> Packets<'a> {
             }
             (false, true, TRANSPARENT) => {
                 scene.cast::<L, S, O, false, true, TRANSPARENT, false>(l, source, out)
-            }
-            (false, true, VALUES_PREFETCHED) => {
-                scene.cast::<L, S, O, false, true, VALUES_PREFETCHED, false>(l, source, out)
             }
             (false, true, _) => scene.cast::<L, S, O, false, true, VALUES, false>(l, source, out),
         }
