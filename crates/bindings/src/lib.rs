@@ -15,6 +15,7 @@ mod evidence;
 mod gpu;
 mod growth;
 mod isoregion;
+mod memory;
 mod mesh;
 mod optics;
 mod outline;

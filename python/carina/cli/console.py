@@ -114,6 +114,10 @@ def interruptible(work: Callable[[], Result]) -> Result:
     return results[0]
 
 
+NO_THREAD = "can't start new thread"
+"""Message of Python's RuntimeError where memory for the stack of a thread is missing."""
+
+
 @contextmanager
 def exit_codes(as_json: bool) -> Iterator[None]:
     """Convert the result or exception of a command into its exit code (docs/contracts.md) and one message.
@@ -142,15 +146,15 @@ def exit_codes(as_json: bool) -> Iterator[None]:
         message = f"{error.strerror or error}: {error.filename}" if error.filename else str(error)
         print_note(f"carina: {message}")
         end_with_error(as_json, "machine", message, 1)
-    except MemoryError:
-        message = "not enough memory; close other programs, or use a smaller volume or image"
-        print_note(f"carina: {message}")
-        end_with_error(as_json, "machine.memory", message, 1)
     except SystemExit:
         raise
     except BaseException as error:
         # BaseException, because a Rust panic in the compiled module is not an Exception.
         logging.getLogger("carina").debug("command failed", exc_info=True)
+        if isinstance(error, MemoryError) or (isinstance(error, RuntimeError) and str(error) == NO_THREAD):
+            message = "not enough memory; close other programs, or use a smaller volume or image"
+            print_note(f"carina: {message}")
+            end_with_error(as_json, "machine.memory", message, 1)
         message = (
             f"internal error in Carina ({type(error).__name__}: {error}); please report it "
             "(CARINA_LOG_LEVEL=DEBUG shows where it occurred)"
