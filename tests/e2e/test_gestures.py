@@ -219,9 +219,12 @@ def does_it(view, tool) -> bool:
 @pytest.mark.parametrize("view", PICTURES)
 def test_double_click_with_an_active_tool_applies_it_once_and_does_not_enlarge_the_picture(undone, view):
     show(undone, view)
-    x, y = middle_of(undone, view)
     for tool in TOOLS:
         arm(undone, tool)
+        # The tool can change the step, whose layout has the view at another place.
+        undone.refreshes(2)
+        undone.wait_still()
+        x, y = middle_of(undone, view)
         undone.page.mouse.dblclick(x, y)
         if does_it(view, tool):
             # In the airway view the page first requests the wall point from the server.
