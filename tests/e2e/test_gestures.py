@@ -366,7 +366,7 @@ def test_active_tool_is_shown_in_every_picture_with_its_instruction(undone, tool
     for view in undone.shown_views():
         cursor = page.locator(f"canvas[data-view={view}]").evaluate("(c) => getComputedStyle(c.parentElement).cursor")
         x_ray = view.startswith("xray")
-        brush = tool in {"paint", "erase"} and view in {"airway", "tree"}
+        brush = tool in {"paint", "erase"} and view in {"airway", "tree", "tri-plane"}
         assert ("not-allowed" in cursor) == (x_ray or brush), (view, cursor)
         assert x_ray or brush or "svg" in cursor, (view, cursor)
     undone.picture(f"armed-{tool}")
@@ -413,7 +413,7 @@ def test_tool_is_deactivated_by_list_search_right_click_its_tag_and_another_work
     page.mouse.move(x + 20, y + 10, steps=3)
     page.mouse.up(button="right")
     assert ready.state("ui.armed") == "bridge"
-    page.locator("[data-cell=tree] [data-testid=tool-tag], [data-cell=outside] [data-testid=tool-tag]").click()
+    page.locator("[data-cell=tree] [data-testid=tool-tag], [data-cell=outside] [data-testid=tool-tag]").first.click()
     assert ready.state("ui.armed") is None
 
     arm(ready, "add")
