@@ -95,7 +95,7 @@ def test_plane_of_the_tri_plane_view_is_moved_by_dragging_it_and_dragging_the_ba
     workstation.page.keyboard.press("t")
     workstation.wait_picture("tri-plane")
     first = workstation.pixels("tri-plane")
-    workstation.page.locator("[data-cell=outside] canvas.overlay").wait_for(state="attached")
+    workstation.page.locator(".picture-host:has(canvas[data-view=tri-plane]) canvas.overlay").wait_for(state="attached")
     workstation.picture("views-tri-plane")
     before = workstation.state("session.sight.orbits")
     tip = [workstation.state(f"pose.lps_from_camera[{n}]") for n in (3, 7, 11)]
