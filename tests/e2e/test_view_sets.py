@@ -26,6 +26,7 @@ def test_wide_window_shows_the_tri_plane_beside_the_tree_and_a_narrow_one_shows_
     workstation.open(server)
     workstation.wait_ready()
     page = workstation.page
+    resize(workstation, 1440, 900)
     assert shown(workstation, OUTSIDE) == ["tree"]
     for size in ((1600, 900), (1920, 1080)):
         resize(workstation, *size)
