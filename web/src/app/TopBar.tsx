@@ -140,7 +140,7 @@ function KeyCardButton() {
       kind="icon"
       label="?"
       words="Keys, mouse and tour"
-      testId="open-keys"
+      testId="open-key-card"
       keys={keyOf("key_card")}
       onPress={() => station.ui({ keyCardOpen: true })}
     />

@@ -88,7 +88,7 @@ export const TOUR: readonly GuideStop[] = [
     "share",
   ),
   stop("All keys", "The question mark lists all keys and mouse gestures. The tour can be started there again.", [
-    "[data-testid=open-keys]",
+    "[data-testid=open-key-card]",
   ]),
 ];
 
