@@ -2,6 +2,7 @@
 
 import { useRef } from "react";
 import { Button } from "react-aria-components";
+import { trainingLayout } from "../state/training";
 import { useApp, useStation } from "./context";
 import { Icon } from "./icons";
 import { panelTitle } from "./ListHead";
@@ -14,7 +15,11 @@ export function SheetHandle() {
   const station = useStation();
   const open = useApp((state) => state.ui.sheetOpen);
   const title = useApp((state) =>
-    state.ui.panel === "step" ? panelTitle(state) : state.ui.list === "history" ? "History" : "Airways",
+    state.ui.panel === "step" || trainingLayout(state) !== undefined
+      ? panelTitle(state)
+      : state.ui.list === "history"
+        ? "History"
+        : "Airways",
   );
   const fromY = useRef<number | null>(null);
   const swiped = useRef(false);
