@@ -39,8 +39,8 @@ export function StatusBar() {
         {windowText(width, level)}
         {isHu ? " HU" : ""}
       </span>
-      <span className="undo" hidden={watches || trains}>
-        {undo === null ? null : (
+      <span className="undo" hidden={watches}>
+        {undo === null || trains ? null : (
           <Act
             kind="quiet"
             icon="undo"
@@ -50,7 +50,7 @@ export function StatusBar() {
             onPress={() => station.act("undo")}
           />
         )}
-        {redo === null ? null : (
+        {redo === null || trains ? null : (
           <Act
             kind="quiet"
             icon="redo"
