@@ -21,7 +21,6 @@ export function SheetHandle() {
         ? "History"
         : "Airways",
   );
-  const fromY = useRef<number | null>(null);
   const swiped = useRef(false);
   return (
     <Button
@@ -30,18 +29,25 @@ export function SheetHandle() {
       aria-label={open ? `Hide the panel ${title}` : `Show the panel ${title}`}
       data-testid="sheet-handle"
       onPointerDown={(event) => {
-        fromY.current = event.clientY;
+        const fromY = event.clientY;
         swiped.current = false;
+        // The button releases the capture of the pointer, so the element under the finger gets the end of the swipe.
+        const end = new AbortController();
+        const { signal } = end;
+        window.addEventListener(
+          "pointerup",
+          ({ clientY }) => {
+            end.abort();
+            if (Math.abs(clientY - fromY) < SWIPE_PX) return;
+            swiped.current = true;
+            station.ui({ sheetOpen: clientY < fromY });
+          },
+          { signal, capture: true },
+        );
+        window.addEventListener("pointercancel", () => end.abort(), { signal });
       }}
-      onPointerUp={(event) => {
-        const movedPx = fromY.current === null ? 0 : event.clientY - fromY.current;
-        fromY.current = null;
-        if (Math.abs(movedPx) < SWIPE_PX) return;
-        swiped.current = true;
-        station.ui({ sheetOpen: movedPx < 0 });
-      }}
-      onPress={() => {
-        if (!swiped.current) station.ui({ sheetOpen: !station.state.ui.sheetOpen });
+      onPress={({ pointerType }) => {
+        if (pointerType === "keyboard" || !swiped.current) station.ui({ sheetOpen: !station.state.ui.sheetOpen });
       }}
     >
       <span className="grip" aria-hidden="true" />
