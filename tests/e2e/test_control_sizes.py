@@ -8,7 +8,7 @@ from test_target_and_plan_display import mark_nodule
 
 pytestmark = pytest.mark.browser
 
-STEPS = ("Open", "Check", "Airways", "Target", "Route", "Rehearse", "Share")
+STEPS = ("Open", "Check", "Airways", "Target", "Route", "Rehearse", "Train", "Share")
 OPEN_PARTS = "() => document.querySelectorAll('details:not([name])').forEach((part) => { part.open = true; })"
 SMALL = """(least) => {
     const controls = 'button, [role=row], [role=option], [role=radio], a[href], summary, select, textarea, label, '

@@ -75,6 +75,13 @@ def test_journey_by_fingers_reaches_a_printed_plan_on_a_tablet(tablet):
     page.touchscreen.tap(*place_on_tree(tablet, branch))
     tablet.wait_for("(id) => window.__carina.state.route.spans.some((span) => span.branch_id === id)", branch)
 
+    # A swipe and a tap open and close the sheet.
+    for moved_px, opened in ((60, False), (-60, True)):
+        box = handle.bounding_box()
+        x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+        fingers.move([(x, y)], [(x, y + moved_px)])
+        tablet.wait_for("(opened) => window.__carina.state.ui.sheetOpen === opened", opened)
+
     # The left stick advances the tip, the right stick turns the view; both rest when the thumbs leave.
     handle.tap()
     tablet.wait_still()

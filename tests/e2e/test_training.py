@@ -30,6 +30,9 @@ def test_task_is_started_in_two_clicks_and_its_score_is_shown_and_printed(host, 
     workstation.wait_ready()
     page.get_by_role("button", name="Train", exact=True).click()
     workstation.picture("training-tasks")
+    # The layout of a task ends the full view of a slice, which would hide the airway view.
+    page.locator("canvas[data-view=axial]").dblclick()
+    workstation.wait_for("window.__carina.state.ui.full === 'axial'")
     page.get_by_test_id("start-inspect-all").click()
     page.wait_for_function("() => window.__carina.state.training.running !== null", timeout=WALL_MS)
     page.wait_for_function("() => window.__carina.state.pose.mode === 'scope'", timeout=FLIGHT_MS)
@@ -38,6 +41,16 @@ def test_task_is_started_in_two_clicks_and_its_score_is_shown_and_printed(host, 
     assert page.get_by_test_id("hud").inner_text() == ""
     assert page.locator(".path-bar").count() == 0
     assert not page.locator(".side-views").is_visible()
+    assert page.locator("canvas[data-view=airway]").is_visible()
+    # No key ends the attempt, flies, or shows what the task hides, and no button names a branch.
+    for key in ("Backspace", "m", "Space", ",", ";", "/", "F2", "Control+z"):
+        page.keyboard.press(key)
+    workstation.settle()
+    assert page.get_by_test_id("stop-task").is_visible()
+    assert workstation.state("training.running !== null")
+    assert workstation.state("pose.mode") == "scope"
+    assert page.locator(".undo button").count() == 0
+    assert page.locator("[data-step=airways]").is_disabled()
     workstation.hold_until("w", "() => window.__carina.state.pose.scope.insertion_mm > 40")
     page.wait_for_function("() => window.__carina.state.training.running.num_steps === 18", timeout=FLIGHT_MS)
     assert "next: RB1" in page.get_by_test_id("attempt-progress").inner_text()

@@ -3,6 +3,7 @@
 import { Button, Dialog, Heading, Modal, ModalOverlay } from "react-aria-components";
 import { MOUSE } from "../input/key-table";
 import { keyOf, keySections } from "../input/keymap";
+import { trainingLayout } from "../state/training";
 import { useApp, useStation } from "./context";
 import { Act } from "./controls";
 
@@ -56,7 +57,7 @@ export function NoticeDialog() {
 /** Render the button that starts the tour; nothing without a case, and in a window that only watches. */
 function TourButton() {
   const station = useStation();
-  const there = useApp((state) => state.session?.case != null && !state.watches);
+  const there = useApp((state) => state.session?.case != null && !state.watches && trainingLayout(state) === undefined);
   return there ? (
     <Act label="Two-minute tour" words="Explain the window" testId="tour" onPress={() => station.tourTo(0)} />
   ) : null;

@@ -63,6 +63,8 @@ function Stick({ side, name, across, along, testId }: StickProps) {
       }}
       onPointerUp={end}
       onPointerCancel={end}
+      // A stick that the layout hides under a thumb gets no release of the pointer.
+      onLostPointerCapture={end}
     >
       <span className="thumb" style={{ translate: `${at.right * 28}px ${at.down * 28}px` }} />
       <span className="stick-name">{name}</span>

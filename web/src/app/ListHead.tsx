@@ -5,6 +5,7 @@ import { Button } from "react-aria-components";
 import { keyOf } from "../input/keymap";
 import type { AppState } from "../state/app-state";
 import { STEP_TEXTS } from "../state/steps";
+import { trainingLayout } from "../state/training";
 import { useApp, useStation } from "./context";
 import { Tip } from "./controls";
 
@@ -14,8 +15,10 @@ const LISTS = [
 ] as const;
 
 /** Return the title of the panel that the left column shows beside the lists. */
-export function panelTitle({ ui, watches }: Pick<AppState, "ui" | "watches">): string {
+export function panelTitle(state: AppState): string {
+  const { ui, watches } = state;
   if (watches) return "View";
+  if (trainingLayout(state) !== undefined) return STEP_TEXTS.train.title;
   if (ui.devicesOpen) return "Devices";
   if (ui.keysOpen) return "Key frames";
   // The list has the title of the step *Airways*; the panel of this step contains the tools that edit the tree.

@@ -44,7 +44,9 @@ export function ScoreDialog() {
 }
 
 function ScoreContent({ score }: { score: FlightScore }) {
-  const references = useApp((state) => state.training?.references ?? null) ?? [];
+  const groups = useApp((state) => state.training?.references ?? null) ?? [];
+  // The published values are those of an inspection of all segments.
+  const references = score.is_inspection ? groups : [];
   const verdict = useApp((state) => state.training?.verdict ?? null);
   const name = useApp((state) => state.flights.find(({ number }) => number === score.flight)?.name ?? "");
   return (

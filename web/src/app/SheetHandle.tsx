@@ -2,6 +2,7 @@
 
 import { useRef } from "react";
 import { Button } from "react-aria-components";
+import { trainingLayout } from "../state/training";
 import { useApp, useStation } from "./context";
 import { Icon } from "./icons";
 import { panelTitle } from "./ListHead";
@@ -14,9 +15,12 @@ export function SheetHandle() {
   const station = useStation();
   const open = useApp((state) => state.ui.sheetOpen);
   const title = useApp((state) =>
-    state.ui.panel === "step" ? panelTitle(state) : state.ui.list === "history" ? "History" : "Airways",
+    state.ui.panel === "step" || trainingLayout(state) !== undefined
+      ? panelTitle(state)
+      : state.ui.list === "history"
+        ? "History"
+        : "Airways",
   );
-  const fromY = useRef<number | null>(null);
   const swiped = useRef(false);
   return (
     <Button
@@ -25,18 +29,25 @@ export function SheetHandle() {
       aria-label={open ? `Hide the panel ${title}` : `Show the panel ${title}`}
       data-testid="sheet-handle"
       onPointerDown={(event) => {
-        fromY.current = event.clientY;
+        const fromY = event.clientY;
         swiped.current = false;
+        // The button releases the capture of the pointer, so the element under the finger gets the end of the swipe.
+        const end = new AbortController();
+        const { signal } = end;
+        window.addEventListener(
+          "pointerup",
+          ({ clientY }) => {
+            end.abort();
+            if (Math.abs(clientY - fromY) < SWIPE_PX) return;
+            swiped.current = true;
+            station.ui({ sheetOpen: clientY < fromY });
+          },
+          { signal, capture: true },
+        );
+        window.addEventListener("pointercancel", () => end.abort(), { signal });
       }}
-      onPointerUp={(event) => {
-        const movedPx = fromY.current === null ? 0 : event.clientY - fromY.current;
-        fromY.current = null;
-        if (Math.abs(movedPx) < SWIPE_PX) return;
-        swiped.current = true;
-        station.ui({ sheetOpen: movedPx < 0 });
-      }}
-      onPress={() => {
-        if (!swiped.current) station.ui({ sheetOpen: !station.state.ui.sheetOpen });
+      onPress={({ pointerType }) => {
+        if (pointerType === "keyboard" || !swiped.current) station.ui({ sheetOpen: !station.state.ui.sheetOpen });
       }}
     >
       <span className="grip" aria-hidden="true" />

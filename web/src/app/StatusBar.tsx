@@ -4,6 +4,7 @@ import { useEffect, useState } from "react";
 import { keyOf } from "../input/keymap";
 import { greyWindow } from "../state/app-state";
 import { coordinates, fixed, windowText } from "../state/format";
+import { trainingLayout } from "../state/training";
 import { asVec3 } from "../state/vec";
 import { useApp, useStation } from "./context";
 import { Act } from "./controls";
@@ -27,6 +28,7 @@ export function StatusBar() {
   const redo = useApp((state) => state.session?.can_redo ?? null);
   const armed = useApp((state) => state.ui.armed !== null);
   const watches = useApp((state) => state.watches);
+  const trains = useApp((state) => trainingLayout(state) !== undefined);
   return (
     <footer className="status-bar numbers">
       <MachineStatus />
@@ -38,7 +40,7 @@ export function StatusBar() {
         {isHu ? " HU" : ""}
       </span>
       <span className="undo" hidden={watches}>
-        {undo === null ? null : (
+        {undo === null || trains ? null : (
           <Act
             kind="quiet"
             icon="undo"
@@ -48,7 +50,7 @@ export function StatusBar() {
             onPress={() => station.act("undo")}
           />
         )}
-        {redo === null ? null : (
+        {redo === null || trains ? null : (
           <Act
             kind="quiet"
             icon="redo"

@@ -6,6 +6,7 @@ import { keyOf } from "../input/keymap";
 import { withoutHuNote } from "../state/badges";
 import { plural, sentence } from "../state/format";
 import { STEP_TEXTS, STEPS } from "../state/steps";
+import { trainingLayout } from "../state/training";
 import { watchingText } from "../state/watching";
 import type { CaseNote } from "../wire/messages";
 import { useApp, useStation } from "./context";
@@ -24,7 +25,8 @@ export function TopBar() {
   const reason = useApp((state) => state.session?.case?.not_hu_reason ?? null);
   const badges = useApp((state) => state.session?.badges ?? NONE);
   const doubts = withoutHuNote(badges);
-  const step = useApp((state) => state.ui.step);
+  const trains = useApp((state) => trainingLayout(state) !== undefined);
+  const step = useApp((state) => (trains ? "train" : state.ui.step));
   const watches = useApp((state) => state.watches);
   const page = useApp((state) => state.watching?.page ?? null);
   if (watches) {
@@ -90,6 +92,7 @@ export function TopBar() {
                       className="step"
                       data-step={name}
                       aria-current={name === step ? "step" : undefined}
+                      isDisabled={trains && name !== step}
                       onPress={(event) => {
                         if (event.pointerType === "mouse" && document.activeElement instanceof HTMLElement) {
                           document.activeElement.blur();
@@ -111,6 +114,7 @@ export function TopBar() {
         label="Devices"
         words="Gamepad, SpaceMouse, trackers, pens, scope handle; recording"
         keys={keyOf("devices")}
+        disabled={trains}
         testId="open-devices"
         onPress={() => station.act("devices")}
       />

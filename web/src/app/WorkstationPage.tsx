@@ -31,13 +31,10 @@ import { WatcherPanel } from "./WatcherPanel";
 /** Render the page of an open case. */
 export function WorkstationPage() {
   const full = useApp((state) => state.ui.full);
-  const devicesOpen = useApp((state) => state.ui.devicesOpen);
-  const keysOpen = useApp((state) => state.ui.keysOpen);
   const list = useApp((state) => state.ui.list);
   const panel = useApp((state) => state.ui.panel);
   const sheetOpen = useApp((state) => state.ui.sheetOpen);
   const armed = useApp((state) => state.ui.armed);
-  const watches = useApp((state) => state.watches);
   const choosesTarget = useApp((state) => choosesTargetIn(state.ui));
   const training = useApp(trainingLayout);
   const lost = useApp((state) => state.connection.status === "lost" || state.connection.status === "refused");
@@ -66,7 +63,7 @@ export function WorkstationPage() {
             <Tabs place="panel" />
           </div>
         )}
-        {watches ? <WatcherPanel /> : devicesOpen ? <DevicePanel /> : keysOpen ? <KeyFramePanel /> : <StepPanel />}
+        <Panel trains={training !== undefined} />
       </aside>
       <main className="pictures">
         <AirwayStage />
@@ -84,4 +81,14 @@ export function WorkstationPage() {
       <Guide />
     </div>
   );
+}
+
+/** Render the panel of the step, or the panel that replaces it; an attempt always has its clock and its end button. */
+function Panel({ trains }: { trains: boolean }) {
+  const devicesOpen = useApp((state) => state.ui.devicesOpen);
+  const keysOpen = useApp((state) => state.ui.keysOpen);
+  const watches = useApp((state) => state.watches);
+  if (watches) return <WatcherPanel />;
+  if (trains) return <StepPanel />;
+  return devicesOpen ? <DevicePanel /> : keysOpen ? <KeyFramePanel /> : <StepPanel />;
 }

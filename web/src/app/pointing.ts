@@ -13,6 +13,7 @@ import { LivePathQueue, type LiveQuestion } from "../state/live-path";
 import { geometryOf, lpsFromPixel, type PixelPoint } from "../state/projection";
 import { isMarkAt, marksStructure, RESTS_MS } from "../state/target-mark";
 import { isBrush, isLesionBrush, strokePoints, textsOf, wantsBranch, wantsPath, worksIn } from "../state/tools";
+import { trainingLayout } from "../state/training";
 import { branchAhead, placeFromOutside, placeInLumen, type TreePlace } from "../state/tree-index";
 import { planeUnder } from "../state/tri-plane";
 import { asVec3, distance, type Vec3 } from "../state/vec";
@@ -226,7 +227,8 @@ export class Pointing {
       return true;
     }
     if (armed === null) {
-      if (pointed?.branchId == null) return false;
+      // During an attempt a click must neither change the route nor show the name of a branch.
+      if (pointed?.branchId == null || trainingLayout(station.state) !== undefined) return false;
       const { branchId } = pointed;
       if (VIEWS[viewport.view].pick !== "branch") {
         station.ui({ selected: branchId });

@@ -7,6 +7,7 @@ import { KeyPlayer, keyFrameHooks } from "../input/key-player";
 import { listenToKeys } from "../input/keyboard";
 import { type Action, WINDOWS } from "../input/keymap";
 import { Steering } from "../input/steering";
+import { TRAINING_ACTIONS } from "../input/training-actions";
 import { WATCHERS_ACTIONS } from "../input/watchers-actions";
 import {
   DownloadError,
@@ -47,6 +48,7 @@ import { clampToRoute } from "../state/route";
 import { SpeedMeter, shownSpeed } from "../state/speed";
 import { Store } from "../state/store";
 import { type Armed, isBrush, isLesionBrush, type LesionTool, nextBrush, wantsBranch } from "../state/tools";
+import { trainingLayout } from "../state/training";
 import { asVec3, cameraFromMatrix, type Vec3 } from "../state/vec";
 import { nextIn, showing, viewZoomedBy } from "../state/view-table";
 import type { WallPoint } from "../state/wall-point";
@@ -629,6 +631,8 @@ export class Workstation implements Station {
 
   /** Go to a step and deactivate the tool of the previous step. */
   toStep(step: Ui["step"]): void {
+    // An attempt shows the step *Train* until it ends.
+    if (trainingLayout(this.state) !== undefined) return;
     if (step !== this.state.ui.step) this.disarm();
     this.ui({ step, panel: panelOf(step) });
   }
@@ -720,7 +724,9 @@ export class Workstation implements Station {
   }
 
   act = (action: Action): void => {
-    if (!this.state.watches || WATCHERS_ACTIONS.has(action)) this.#actions[action]();
+    if (this.state.watches && !WATCHERS_ACTIONS.has(action)) return;
+    if (trainingLayout(this.state) !== undefined && !TRAINING_ACTIONS.has(action)) return;
+    this.#actions[action]();
   };
 
   #wallPointAhead(): void {

@@ -528,12 +528,17 @@ function receive(state: AppState, message: ServerMessage): AppState {
 /** Return the state after a change of the training; after an attempt the score of its flight is opened. */
 function trainingChanged(state: AppState, training: TrainingMessage): AppState {
   const before = state.training?.running ?? null;
+  const wasBusy = before !== null || (state.training?.quiz ?? null) !== null;
+  const begins = !wasBusy && (training.running !== null || training.quiz !== null);
   const awaited = training.running === null && before !== null ? before.flight : state.ui.awaitedScore;
   const isScored = awaited !== null && training.scores.some((score) => score.flight === awaited);
   const ui: Ui = {
     ...state.ui,
     awaitedScore: isScored || training.running !== null ? null : awaited,
     openScore: training.running === null && isScored ? awaited : state.ui.openScore,
+    // The layout of an attempt or a quiz contains the airway view, which a full view of another picture would replace.
+    full: begins ? null : state.ui.full,
+    tourAt: begins ? null : state.ui.tourAt,
   };
   return { ...state, training, ui };
 }

@@ -23,6 +23,11 @@ describe("hintsDue", () => {
     expect(hintsDue(state(false, "found", 0))).toBe(false);
     expect(hintsDue({ ...state(false, "found"), watches: true })).toBe(false);
   });
+
+  it("shows no hint during a quiz", () => {
+    const training = { running: null, quiz: {}, tasks: [] } as unknown as (typeof INITIAL_STATE)["training"];
+    expect(hintsDue({ ...state(false, "found"), training })).toBe(false);
+  });
 });
 
 describe("the texts of hints and tour", () => {

@@ -2,6 +2,7 @@
 
 import type { AppState } from "./app-state";
 import type { Step } from "./steps";
+import { trainingLayout } from "./training";
 
 /** A stop of the hints or of the tour. */
 export interface GuideStop {
@@ -53,7 +54,7 @@ export const TOUR: readonly GuideStop[] = [
   ),
   stop(
     "The branches",
-    "Click a branch to fly there. Press / to search by name, lobe or generation.",
+    "Click a branch: the route then leads to it. Press / to search by name, lobe or generation.",
     [".branches"],
     "airways",
   ),
@@ -96,5 +97,7 @@ export const TOUR: readonly GuideStop[] = [
 export function hintsDue(state: AppState): boolean {
   const { start, session, watches, ui } = state;
   if (watches || ui.tourAt !== null || start === null || session === null) return false;
+  // A task has its own instructions.
+  if (trainingLayout(state) !== undefined) return false;
   return !start.hints_read && start.notice_accepted && session.case !== null && session.airways === "found";
 }

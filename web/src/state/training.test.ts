@@ -76,6 +76,14 @@ describe("a running attempt", () => {
     expect(attemptOf({ ...state })).toBe(attemptOf(state));
   });
 
+  it("ends a full view and the tour when it begins, and leaves a full view that is opened later", () => {
+    const full = reduce(stateAfter(message({})), { kind: "ui", change: { full: "axial", tourAt: 2 } });
+    const begun = reduce(full, { kind: "server", message: message({ running: RUNNING }) });
+    expect([begun.ui.full, begun.ui.tourAt]).toEqual([null, null]);
+    const later = reduce(begun, { kind: "ui", change: { full: "outside" } });
+    expect(reduce(later, { kind: "server", message: message({ running: RUNNING }) }).ui.full).toBe("outside");
+  });
+
   it("states its progress, the next step, and the time left", () => {
     const attempt = attemptOf(stateAfter(message({ running: RUNNING })));
     expect(attempt).not.toBeNull();

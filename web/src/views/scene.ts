@@ -237,8 +237,6 @@ function pointedAt(
   const held = fork === null ? undefined : tree?.byId.get(fork)?.branch.points.at(-1);
   return {
     ...parts,
-    // A task of the training may hide the names that the trainee must recognise.
-    ...(hidesNames(state) ? NO_NAMES : {}),
     uncertain: tree?.uncertain ?? [],
     hovered,
     selected,
@@ -246,9 +244,11 @@ function pointedAt(
     heldFork: held === undefined ? null : asVec3(held),
     preview: previewRuns.length === 0 ? null : { runs: previewRuns, faint: doubt === null && preview?.stale === true },
     live,
-    note: hidesNames(state) ? null : cursorNoteOf(state, hovered?.node ?? null),
+    note: cursorNoteOf(state, hovered?.node ?? null),
     brush: isBrush(ui.armed) ? { radiusMm: ui.brushMm, erase: takesAway(ui.armed) } : null,
     stroke: ui.stroke,
+    // A task of the training may hide the names that the trainee must recognise.
+    ...(hidesNames(state) ? NO_NAMES : {}),
   };
 }
 
@@ -378,7 +378,8 @@ function isSame(a: unknown, b: unknown, depth = 3): boolean {
  */
 const MAX_PARTS = 64;
 
-const NO_NAMES: Pick<Scene, "named" | "titled"> = { named: [], titled: [] };
+/** Parts of the scene while names are hidden; a hovered branch would have its name, a selected one would show a place. */
+const NO_NAMES = { named: [], titled: [], hovered: null, selected: null, note: null } as const satisfies Partial<Scene>;
 
 function buildScene(state: AppState): Scene {
   if (state.route !== cachedFor) {

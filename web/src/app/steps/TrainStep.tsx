@@ -212,7 +212,7 @@ function Scores({ scores, verdict }: { scores: readonly FlightScore[]; verdict: 
       {scores.length === 0 ? <p className="quiet">No flight has been scored since this case was opened.</p> : null}
       <ul className="key-list" aria-label="Scores" data-testid="scores">
         {scores.map((score) => (
-          <li key={score.flight} className="key">
+          <li key={score.flight} className="key task">
             <div className="key-head">
               <span className="flight-words">
                 <strong>{name(score.flight)}</strong>
@@ -235,7 +235,7 @@ function Scores({ scores, verdict }: { scores: readonly FlightScore[]; verdict: 
           </li>
         ))}
         {unscored.map(({ number }) => (
-          <li key={number} className="key">
+          <li key={number} className="key task">
             <div className="key-head">
               <span className="flight-words">
                 <strong>{name(number)}</strong>
