@@ -20,6 +20,7 @@ from carina.commands import (
     NextQuestion,
     OpenPath,
     RecordFlight,
+    RepeatQuestion,
     ScoreFlight,
     ScoreOf,
     SetMode,
@@ -273,6 +274,11 @@ def test_quiz_places_the_tip_for_each_question_and_states_the_answer_after_that_
     assert answered.num_right == (answered.given == answered.answer)
     with pytest.raises(UsageError, match="answered already"):
         workstation.session.do(AnswerQuiz(first.choices[1]))
+    workstation.session.do(Steer(3.0, 0.0, 0.0, 0.0))
+    assert not np.allclose(workstation.session.pose_info().pose.position_lps, pose.position_lps)
+    workstation.session.do(RepeatQuestion())
+    assert np.array_equal(workstation.session.pose_info().pose.lps_from_camera, pose.lps_from_camera)
+    assert np.allclose(np.reshape(answered.lps_from_tip, (4, 4)), pose.lps_from_camera)
     workstation.session.do(NextQuestion())
     second = workstation.info.quiz
     assert (second.number, second.answer, second.is_over) == (2, None, False)

@@ -59,5 +59,9 @@ class NextQuestion(Command, frozen=True):
     """Place the tip for the next question of the quiz; after the last question the quiz remains with its result."""
 
 
+class RepeatQuestion(Command, frozen=True):
+    """Place the tip again where the present question of the quiz was asked."""
+
+
 class StopQuiz(Command, frozen=True):
     """End the quiz; nothing happens if none is running."""

@@ -23,7 +23,7 @@ import { penOffText } from "../state/pen";
 import { distanceToRouteMm, turnBefore } from "../state/plan";
 import { nextStopMm, pastMm, placeText, sideText } from "../state/route";
 import { worksIn } from "../state/tools";
-import { type Attempt, attemptOf, quizOf } from "../state/training";
+import { type Attempt, attemptOf, isAtQuestion, quizOf } from "../state/training";
 import { cameraFromMatrix, lookingUp } from "../state/vec";
 import { wallPointLines } from "../state/wall-point";
 import { wrongBranchText } from "../state/wrong-branch";
@@ -49,7 +49,7 @@ export function AirwayStage() {
   const markable = armed === null ? undefined : worksIn(armed, LEAD_VIEW) ? "yes" : "no";
   const station = useStation();
   const attempt = useApp(attemptOf);
-  const quiz = useApp((state) => quizOf(state)?.kind ?? null);
+  const quiz = useApp(quizOf);
   return (
     <section className="airway-stage" aria-label="Airway view">
       <AirwayTools />
@@ -67,7 +67,7 @@ export function AirwayStage() {
             {attempt !== null ? (
               <AttemptReadings attempt={attempt} />
             ) : quiz !== null ? (
-              <QuizMark kind={quiz} />
+              <QuizMark quiz={quiz} />
             ) : (
               <Readings />
             )}
@@ -415,9 +415,10 @@ const AT_END_MM = 0.1;
 const directionText = ({ hour, noHour }: OnwardBranch): string =>
   hour === null ? (noHour ?? "straight ahead") : `${hour} o\u2019clock`;
 
-/** Render the mark in the middle of the picture, on the opening that a quiz asks for. */
-function QuizMark({ kind }: { kind: QuizInfo["kind"] }) {
-  return kind === "name-opening" ? <div className="quiz-mark" data-testid="quiz-mark" aria-hidden="true" /> : null;
+/** Render the mark on the opening that a quiz asks for, while the tip looks at it from the place of the question. */
+function QuizMark({ quiz }: { quiz: QuizInfo }) {
+  const shown = useApp((state) => quiz.kind === "name-opening" && isAtQuestion(state, quiz));
+  return shown ? <div className="quiz-mark" data-testid="quiz-mark" aria-hidden="true" /> : null;
 }
 
 /** Render the state of the scope and the latest event of a running attempt; names only where the task shows them. */

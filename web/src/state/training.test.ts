@@ -101,6 +101,7 @@ describe("a quiz", () => {
     number: 1,
     num_questions: 10,
     choices: ["RB6", "RB7"],
+    lps_from_tip: [1, 0, 0, 10, 0, 1, 0, 20, 0, 0, 1, 30, 0, 0, 0, 1],
     num_right: 0,
     given: null,
     answer: null,

@@ -40,6 +40,14 @@ export function trainingLayout(state: AppState): "alone" | "with-tree" | undefin
   return quizOf(state) === null ? undefined : "alone";
 }
 
+/** Largest difference of a number of two poses that are the same, mm or without unit. */
+const SAME_POSE = 0.01;
+
+/** Return whether the tip is where the present question of the quiz was asked. */
+export function isAtQuestion({ pose }: AppState, quiz: QuizInfo): boolean {
+  return pose?.lps_from_camera.every((value, n) => Math.abs(value - (quiz.lps_from_tip[n] ?? 0)) < SAME_POSE) ?? false;
+}
+
 /** Return the question of a quiz as text. */
 export const questionText = ({ kind }: QuizInfo): string =>
   kind === "name-opening" ? "Which segment is behind the opening in the middle?" : "In which segment is the tip?";

@@ -753,6 +753,11 @@ export interface NextQuestionMessage {
   readonly type: "next_question";
 }
 
+/** Place the tip again where the present question of the quiz was asked. */
+export interface RepeatQuestionMessage {
+  readonly type: "repeat_question";
+}
+
 /** End the quiz; nothing happens if none is running. */
 export interface StopQuizMessage {
   readonly type: "stop_quiz";
@@ -1919,6 +1924,7 @@ export interface QuizInfo {
   readonly number: number;
   readonly num_questions: number;
   readonly choices: readonly string[];
+  readonly lps_from_tip: readonly number[];
   readonly num_right: number;
   readonly given: string | null;
   readonly answer: string | null;
@@ -2374,6 +2380,7 @@ export type ClientMessage =
   | StartQuizMessage
   | AnswerQuizMessage
   | NextQuestionMessage
+  | RepeatQuestionMessage
   | StopQuizMessage
   | ClientHelloMessage
   | OpenUploadMessage

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Annotated, Literal
 
-from carina.commands.fields import Count, FlightNumber, OwnName, Words
+from msgspec import Meta
+
+from carina.commands.fields import Count, FlightNumber, OwnName, Wide, Words
 from carina.value import FrozenValue, Part
 
 
@@ -124,6 +126,8 @@ class QuizInfo(FrozenValue, frozen=True):
     """Number of the present question, from 1."""
     num_questions: Count
     choices: tuple[Words, ...]
+    lps_from_tip: Annotated[tuple[Wide, ...], Meta(min_length=16, max_length=16)]
+    """Pose from which the question is asked, row by row, mm."""
     num_right: Count
     """Number of right answers so far."""
     given: Words | None = None

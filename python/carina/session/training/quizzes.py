@@ -37,6 +37,7 @@ class _Quiz:
             number=self.at + 1,
             num_questions=len(self.questions),
             choices=question.choices,
+            lps_from_tip=tuple(float(v) for v in question.pose.lps_from_camera.ravel()),
             num_right=sum(given == one.answer for given, one in zip(self.answers, self.questions, strict=False)),
             given=self.answers[self.at] if is_answered else None,
             answer=question.answer if is_answered else None,
@@ -121,6 +122,19 @@ class QuizHandlers(CommandHandlers):
             if quiz.at + 1 == len(quiz.questions):
                 raise UsageError("this was the last question", code="training.quiz")
             quiz.at += 1
+            self._ask()
+
+    @does(c.RepeatQuestion)
+    def repeat(self, _command: c.RepeatQuestion) -> None:
+        """Ask the present question again.
+
+        Raises
+        ------
+        UsageError
+            ``training.quiz``: without a quiz.
+        """
+        with self.core.lock:
+            self._needed()
             self._ask()
 
     @does(c.StopQuiz)

@@ -5,6 +5,7 @@ import {
   type Attempt,
   answerText,
   attemptOf,
+  isAtQuestion,
   outcomeText,
   progressText,
   questionText,
@@ -101,6 +102,7 @@ function Quizzes() {
 /** Render the question of the quiz, its choices, and the result of the answer. */
 function RunningQuiz({ quiz }: { quiz: QuizInfo }) {
   const station = useStation();
+  const moved = useApp((state) => !isAtQuestion(state, quiz));
   const answer = answerText(quiz);
   const result = `${quiz.num_right} of ${quiz.num_questions} right`;
   return (
@@ -126,6 +128,14 @@ function RunningQuiz({ quiz }: { quiz: QuizInfo }) {
       <p role="status" className={quiz.given === quiz.answer ? undefined : "warning-text"} data-testid="quiz-answer">
         {answer ?? ""}
       </p>
+      {moved ? (
+        <Act
+          label="Back to the question"
+          words="Place the tip again where the question was asked"
+          testId="quiz-back"
+          onPress={() => station.send({ type: "repeat_question" })}
+        />
+      ) : null}
       {quiz.is_over ? (
         <p>
           <strong data-testid="quiz-result">{result}</strong>
