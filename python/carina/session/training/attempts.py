@@ -224,6 +224,10 @@ class TrainingHandlers(CommandHandlers):
         if attempt is not None and case.document.airways is not attempt.airways:
             self._end(case, attempt, "interrupted", AIRWAYS_CHANGED)
 
+    def discard(self) -> None:
+        """Release attempt and scores, because their case is being closed; the caller holds the session's lock."""
+        self._state = None
+
     # ------------------------------------------------------------ scores
 
     @does(c.ScoreFlight)
@@ -271,6 +275,8 @@ class TrainingHandlers(CommandHandlers):
             found = score_flight(airways.tree, wall_mm, flight_frames(recording), chosen, progress=job.progress)
             with self.core.lock:
                 job.check()
+                if self.core.case is not case:
+                    return
                 self._of(case).scores[number] = found
                 self.core.changed("training")
 
