@@ -280,6 +280,21 @@ def test_closing_a_case_stops_the_score_of_an_attempt_that_it_ends(workstation, 
     assert all(job.cancel() for job in running)
 
 
+def test_score_of_a_long_attempt_is_computed_more_rarely(workstation, monkeypatch):
+    workstation.start("inspect-all")
+    _, (_, attempt) = workstation.attempts[-1]
+    scored_at_s = []
+
+    def slow(_attempt, now_s):
+        scored_at_s.append(now_s)
+        _attempt.scored_s = now_s
+        workstation.clock.advance(2.0)
+
+    monkeypatch.setattr(type(attempt), "update_score", slow)
+    workstation.follow(30.0)
+    assert np.diff(scored_at_s) == pytest.approx(20.1, abs=0.2)
+
+
 def test_thread_of_an_attempt_ends_with_the_attempt(tmp_path, chest, monkeypatch):
     watch = TrainingHandlers._watch
     made = Workstation(tmp_path, chest, monkeypatch)
