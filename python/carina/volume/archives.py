@@ -273,6 +273,7 @@ class _Unpacking:
             source = _ForwardReader(_unpacker(kind, raw), self._budget.watch)
             # ``tarfile`` reads its headers whole, so a reader that refuses long reads bounds the memory.
             with tarfile.open(fileobj=cast("Any", source), mode="r:", errorlevel=2) as archive:
+                stored: Any = archive  # the types of the library do not name the lists of headers
                 begin = 0
                 while (member := archive.next()) is not None:
                     self._budget.watch.step("Unpacking the archive")
@@ -280,8 +281,8 @@ class _Unpacking:
                     # The bytes of headers and of skipped members count, too.
                     self._budget.add_bytes(source.tell() - begin)
                     # ``tarfile`` stores every header, which would take memory without a limit.
-                    archive.members.clear()
-                    archive.pax_headers.clear()
+                    stored.members.clear()
+                    stored.pax_headers.clear()
                     begin = source.tell()
                     if not member.isreg():
                         continue
