@@ -13,7 +13,7 @@ from sample_plan import a_plan, a_tree
 import carina.export
 from carina.errors import UsageError
 from carina.export import PLAN_FORMATS, export_plan
-from carina.volume import open_volume
+from carina.volume import Note, open_volume
 
 AIM = (-1.7125, -3.0625, 22.8125)
 
@@ -26,6 +26,13 @@ def test_plan_is_written_in_the_format_of_each_suffix(tmp_path):
         assert path.stat().st_size > 500
     assert pydicom.dcmread(tmp_path / "Plan.SEG.DCM").Modality == "SEG"
     assert pydicom.dcmread(tmp_path / "Plan.SR.DCM").Modality == "SR"
+
+
+def test_plan_files_for_slicer_contain_the_lasting_notes_of_the_case(tmp_path):
+    badge = Note("import.tilt-corrected", "the gantry was tilted by 12.0 degrees", badge=True)
+    for suffix in (".mrk.json", ".seg.nrrd"):
+        path = export_plan(tmp_path / f"p{suffix}", a_plan(), a_tree(), badges=[badge])
+        assert b"the gantry was tilted by 12.0 degrees" in path.read_bytes()
 
 
 def test_plan_export_without_a_tree_or_ct_that_its_format_requires_is_refused(tmp_path):

@@ -32,6 +32,7 @@ from carina.plan.targets.edits import BRUSHED
 from carina.plan.turns.fork_view import HourDoubt
 from carina.server.to_wire.plan import _route
 from carina.track import measure_tree
+from carina.volume import Note, Volume
 
 SAFETY = (
     "Not a medical device.",
@@ -217,6 +218,15 @@ def test_parts_drawn_by_hand_are_red_wherever_the_report_describes_the_route(tmp
     assert re.search(rf'<tr class="warning">.*?{re.escape(doubt)}', text)
     assert any(one.pen.line == "#c1001f" for one in _strokes(report))
     assert doubt[0].upper() + doubt[1:] + "." in report.uncertain
+
+
+def test_lasting_notes_of_the_ct_are_among_the_uncertainties_of_the_report(tmp_path) -> None:
+    note = Note("import.tilt-corrected", "the gantry was tilted by 12.0 degrees", badge=True)
+    ct = volume()
+    source = dataclasses.replace(ct.source, notes=(*ct.source.notes, note))
+    noted = Volume(ct.hu_zyx, ct.lps_from_ijk, is_hu=ct.is_hu, not_hu_reason=ct.not_hu_reason, source=source)
+    assert "The gantry was tilted by 12.0 degrees." in sheet(volume=noted).uncertain
+    assert "The gantry was tilted" in page(tmp_path, volume=noted)
 
 
 def _strokes(report) -> list:

@@ -80,11 +80,11 @@ def test_contact_sheet_job_of_a_cancelled_request_ends_without_another_error(mon
 def test_report_job_of_a_cancelled_request_ends_without_another_error(monkeypatch, work, end, name):
     for function in ("export_plan", "write_report"):
         monkeypatch.setattr(f"carina.server.files.plan_reports.{function}", work)
-    for function in ("whole_sheet", "_with_verdicts"):
+    for function in ("whole_sheet", "_with_verdicts", "badges_of"):
         monkeypatch.setattr(f"carina.server.files.plan_reports.{function}", lambda *_, **__: None)
     monkeypatch.setattr("carina.server.files.plan_reports.Future", CancelledFuture)
     session = SimpleNamespace(jobs=Jobs())
-    materials = SimpleNamespace(plan=None, airways=SimpleNamespace(tree=None, badges=()))
+    materials = SimpleNamespace(plan=None, volume=None, airways=SimpleNamespace(tree=None))
     done = Reports(session)._start_job(materials, "t1", Path(name), "report", None)
     assert done.cancelled()
     assert session.jobs.ends == [end]

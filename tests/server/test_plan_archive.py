@@ -6,6 +6,7 @@ import asyncio
 from pathlib import Path
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from carina.commands import CtFolder, PlanningOf, PlanToTakeAway
@@ -13,6 +14,7 @@ from carina.errors import CarinaError, UsageError
 from carina.export import plan_dicom_pdf
 from carina.server.files import plan_reports
 from carina.server.files.plan_reports import Reports
+from carina.volume import Note, Volume, VolumeSource
 
 
 class SmallSession:
@@ -81,6 +83,17 @@ def test_segmentation_and_measurements_refer_to_the_folder_of_the_ct(tmp_path, w
     assert (written["ct"], written["volume"], written["identity"]) == (tmp_path, "volume", "none")
     answered(SmallSession(tmp_path), suffix, identity="from the CT")
     assert written["identity"] == "from the CT"
+
+
+def test_plan_files_for_slicer_get_the_lasting_notes_of_the_ct_and_of_the_airways(tmp_path, written):
+    notes = [Note(code, "words", badge=True) for code in ("import.tilt-corrected", "track.search-stopped")]
+    hu, source = np.zeros((2, 2, 2), dtype=np.int16), VolumeSource(format="dicom", title="Chest", notes=(notes[0],))
+    volume = Volume(hu, np.eye(4), is_hu=True, source=source)
+    airways = SimpleNamespace(tree="tree", badges=(notes[1],))
+    session = SmallSession(tmp_path)
+    session.ask = lambda _question: SimpleNamespace(plan="plan", airways=airways, volume=volume)
+    answered(session, ".mrk.json")
+    assert list(written["badges"]) == notes
 
 
 def test_dicom_report_contains_the_pdf_unchanged_and_no_patient_name(tmp_path, written):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import gc
 import threading
 import time
 from pathlib import Path
@@ -34,6 +35,8 @@ from carina.commands import (
 )
 from carina.errors import NoResultError, UsageError
 from carina.session import CaseRecords, Session, UserMessage, case_files, default_parts
+from carina.session.open_case.open_case import OpenCase
+from carina.session.training import attempts
 from carina.session.training.attempts import TrainingHandlers, entry_way
 from carina.training import find_task
 from small_case import Clock, SmallRenderer
@@ -236,6 +239,61 @@ def test_attempt_ends_when_the_case_is_closed(workstation):
     workstation.session.do(CloseCase())
     assert not workstation.follow(0.1)
     assert workstation.info == type(workstation.info)()
+
+
+def test_closed_case_of_an_attempt_and_of_a_quiz_is_released(workstation):
+    workstation.session.do(StartQuiz("name-opening", num=2))
+    until(lambda: workstation.info.quiz is not None)
+    workstation.start("find-lb6")
+    workstation.follow(0.3)
+    workstation.session.do(CloseCase())
+    workstation.attempts.clear()
+
+    def is_released() -> bool:
+        gc.collect()
+        return not any(isinstance(one, OpenCase) for one in gc.get_objects())
+
+    until(is_released)
+
+
+def test_closing_a_case_stops_the_score_of_an_attempt_that_it_ends(workstation, monkeypatch):
+    workstation.start("find-lb6")
+    workstation.follow(0.3)
+    session, begun, go = workstation.session, threading.Event(), threading.Event()
+    release = session._saving.release_case
+
+    def score(*_what, **_options):
+        begun.set()
+        assert go.wait(20.0)
+        raise AssertionError("the score of a closed case was computed")
+
+    def release_slowly(*within):
+        # The thread of the attempt runs while the closing waits for the disk.
+        assert not workstation.follow(0.1)
+        assert begun.wait(20.0)
+        release(*within)
+
+    monkeypatch.setattr(attempts, "read_recording", score)
+    monkeypatch.setattr(session._saving, "release_case", release_slowly)
+    session.do(CloseCase())
+    running = session.jobs.running
+    go.set()
+    assert all(job.cancel() for job in running)
+
+
+def test_score_of_a_long_attempt_is_computed_more_rarely(workstation, monkeypatch):
+    workstation.start("inspect-all")
+    _, (_, attempt) = workstation.attempts[-1]
+    scored_at_s = []
+
+    def slow(_attempt, now_s):
+        scored_at_s.append(now_s)
+        _attempt.scored_s = now_s
+        workstation.clock.advance(2.0)
+
+    monkeypatch.setattr(type(attempt), "update_score", slow)
+    workstation.follow(30.0)
+    assert np.diff(scored_at_s) == pytest.approx(20.1, abs=0.2)
 
 
 def test_thread_of_an_attempt_ends_with_the_attempt(tmp_path, chest, monkeypatch):

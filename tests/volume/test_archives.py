@@ -335,3 +335,49 @@ def test_directory_file_and_root_of_a_disc_open_the_scan(tmp_path):
     assert source.files.num_files == 22
     (tmp_path / "disc" / "DICOM" / "ST0" / "SE0" / "I3").unlink()
     assert not source.is_unchanged
+
+
+def test_headers_and_skipped_members_of_a_tar_archive_count_as_unpacked_bytes(tmp_path, monkeypatch):
+    monkeypatch.setattr(archives, "FREE_OF_RATIO_BYTES", 4 << 20)
+    path = tmp_path / "headers.tar.gz"
+    with tarfile.open(path, "w:gz", format=tarfile.PAX_FORMAT) as archive:
+        for number in range(16):
+            member = tarfile.TarInfo(f"folder {number}")
+            member.type = tarfile.DIRTYPE
+            member.pax_headers = {"comment": "x" * (1 << 19)}
+            archive.addfile(member)
+    assert refusal(path).code == "import.archive.too-large"
+
+
+def test_headers_of_a_tar_archive_are_not_stored(tmp_path, scan, monkeypatch):
+    stored = []
+    member_after = tarfile.TarFile.next
+    monkeypatch.setattr(
+        tarfile.TarFile, "next", lambda archive: (stored.append(len(archive.members)), member_after(archive))[1]
+    )
+    open_volume(tarred(tmp_path / "scan.tar", scan))
+    assert max(stored) <= 1
+
+
+def test_tar_archive_with_a_long_chain_of_headers_is_refused(tmp_path):
+    member = tarfile.TarInfo("general")
+    member.type, member.size = tarfile.XGLTYPE, 15
+    path = tmp_path / "chain.tar"
+    path.write_bytes((member.tobuf() + b"15 comment=abc\n".ljust(512, b"\0")) * 3000 + bytes(1024))
+    assert refusal(path).code == "import.archive.damaged"
+
+
+def test_damaged_bzip2_data_is_no_error_of_the_disk(tmp_path, scan):
+    path = tarred(tmp_path / "scan.tar.bz2", scan, "w:bz2")
+    content = bytearray(path.read_bytes())
+    content[len(content) // 2] ^= 0xFF
+    path.write_bytes(content)
+    assert refusal(path).code == "import.archive.damaged"
+
+
+def test_zip_of_a_newer_version_of_the_format_is_refused(tmp_path, scan):
+    path = zipped(tmp_path / "scan.zip", scan)
+    content = bytearray(path.read_bytes())
+    content[content.find(b"PK\x01\x02") + 6] = 99
+    path.write_bytes(content)
+    assert refusal(path).code == "import.archive.not-supported"

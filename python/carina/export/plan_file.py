@@ -121,7 +121,7 @@ def export_plan(
         ``"none"`` writes no data of the patient except the CT's UIDs; ``"from the CT"`` copies name, number, birth
         date, sex and the study's numbers.
     badges
-        Lasting notes of the case; for ``.mrk.json``.
+        Lasting notes of the case; for ``.mrk.json`` and ``.seg.nrrd``.
     now
         Time of creation of a DICOM file; the computer's clock if None.
     cancel
@@ -169,7 +169,7 @@ def export_plan(
                 code="plan.several",
             )
         ((title, only),) = nodules.items()
-        return write_target_nrrd(path, only, name=title)
+        return write_target_nrrd(path, only, name=title, badges=badges)
     if volume is None or ct is None:
         raise UsageError(
             f"{name}: a DICOM file refers to the CT's images: give the CT (volume) and its DICOM folder (ct)",

@@ -8,6 +8,7 @@ References
 from __future__ import annotations
 
 import io
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
@@ -15,9 +16,10 @@ import numpy as np
 
 from carina.disk import write_whole
 from carina.errors import UsageError, check_type
+from carina.export.header_notes import badge_lines
 from carina.export.plan_content import note_sentences
 from carina.plan import Nodule
-from carina.volume import write_grid_to
+from carina.volume import Note, write_grid_to
 
 TARGET_NRRD_SUFFIX: Final = ".seg.nrrd"
 _MARGIN_VOX = 2
@@ -28,7 +30,7 @@ _TERMINOLOGY = (
 )
 
 
-def write_target_nrrd(path: Path | str, nodule: Nodule, *, name: str = "Target") -> Path:
+def write_target_nrrd(path: Path | str, nodule: Nodule, *, name: str = "Target", badges: Sequence[Note] = ()) -> Path:
     """Write a nodule as a segmentation of one segment for 3D Slicer, in LPS, mm.
 
     The grid is that of the nodule's boundary (cubic voxels along the patient's axes), which preserves the nodule's
@@ -42,6 +44,8 @@ def write_target_nrrd(path: Path | str, nodule: Nodule, *, name: str = "Target")
         The nodule.
     name
         Name of the segment, one line.
+    badges
+        Lasting notes of the case (``carina.volume.badges_of``), written in the field ``note``.
 
     Returns
     -------
@@ -84,7 +88,12 @@ def write_target_nrrd(path: Path | str, nodule: Nodule, *, name: str = "Target")
         "Segmentation_ContainedRepresentationNames": "Binary labelmap|",
         "Segmentation_MasterRepresentation": "Binary labelmap",
         "Segmentation_ReferenceImageExtentOffset": "0 0 0",
-        "note": f"{nodule.words}, made with Carina.{note_sentences(nodule)} Not a medical device.",
+        "note": "; ".join(
+            [
+                f"{nodule.words}, made with Carina.{note_sentences(nodule)} Not a medical device.",
+                *badge_lines(badges),
+            ]
+        ),
     }
     plain = io.BytesIO()
     write_grid_to(plain, ".nrrd", inside, place, what="the target")

@@ -122,6 +122,8 @@ class SessionCore:
         """Functions called with the session locked after a document change, before tip and renderer are updated."""
         self.after_document: list[Callable[[OpenCase], None]] = []
         """Functions called with the session locked, after the update of tip and renderer to a changed document."""
+        self.after_case: list[Callable[[], None]] = []
+        """Functions called with the session locked when the open case is discarded; they release what belongs to it."""
         self.after_sight: list[Callable[[OpenCase], None]] = []
         """Functions called with the session locked after a change of the sight."""
         self._pose_id = 0

@@ -120,6 +120,7 @@ class Session:
             planning.follow, training.follow, quizzes.follow,
         ]  # fmt: skip
         core.after_sight += [recording.note_view]
+        core.after_case += [training.discard, quizzes.discard]
         looking = LookHandlers(core)
         subjects = (
             opening, TipHandlers(core, holding), looking, RouteHandlers(core), planning, TargetHandlers(core),

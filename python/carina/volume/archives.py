@@ -27,7 +27,7 @@ from pathlib import Path
 from typing import Any, BinaryIO, Literal, cast
 
 from carina.disk import scratch_folder
-from carina.errors import VolumeImportError
+from carina.errors import CarinaError, VolumeImportError
 from carina.volume.message_limits import bounded_name
 from carina.volume.progress import Watch
 from carina.volume.read_limits import MAX_FILES
@@ -222,7 +222,12 @@ class _Unpacking:
                 inner = self._unpack_tar(path, kind, folder)
         except (zipfile.BadZipFile, tarfile.TarError, lzma.LZMAError, zlib.error, EOFError, struct.error) as error:
             raise _damaged(shown, error) from None
-        except (gzip.BadGzipFile, UnicodeError, ValueError, OverflowError, IndexError) as error:
+        except (gzip.BadGzipFile, UnicodeError, ValueError, OverflowError, IndexError, RecursionError) as error:
+            raise _damaged(shown, error) from None
+        except OSError as error:
+            if error.errno is not None or isinstance(error, CarinaError):
+                raise
+            # The decoder of bzip2 reports damaged data by an OSError without a number.
             raise _damaged(shown, error) from None
         for archive in inner:
             own = archive_kind(archive)
@@ -235,7 +240,7 @@ class _Unpacking:
     def _unpack_zip(self, path: Path, shown: Path, folder: Path) -> list[Path]:
         inner = []
         _check_directory_size(path, self._budget)
-        with zipfile.ZipFile(path) as archive:
+        with _opened_zip(path, shown) as archive:
             members = [one for one in archive.infolist() if not one.is_dir()]
             total = sum(one.compress_size for one in members) or 1
             done = 0
@@ -268,8 +273,17 @@ class _Unpacking:
             source = _ForwardReader(_unpacker(kind, raw), self._budget.watch)
             # ``tarfile`` reads its headers whole, so a reader that refuses long reads bounds the memory.
             with tarfile.open(fileobj=cast("Any", source), mode="r:", errorlevel=2) as archive:
+                stored: Any = archive  # the types of the library do not name the lists of headers
+                begin = 0
                 while (member := archive.next()) is not None:
+                    self._budget.watch.step("Unpacking the archive")
                     self._budget.add_member()
+                    # The bytes of headers and of skipped members count, too.
+                    self._budget.add_bytes(source.tell() - begin)
+                    # ``tarfile`` stores every header, which would take memory without a limit.
+                    stored.members.clear()
+                    stored.pax_headers.clear()
+                    begin = source.tell()
                     if not member.isreg():
                         continue
                     place = self._place(folder, member.name)
@@ -318,6 +332,14 @@ class _Unpacking:
         self._content.names[neutral] = _shown_name(last)
         hidden = "." if last.startswith(".") else ""
         return folder / f"{hidden}{neutral}"
+
+
+def _opened_zip(path: Path, shown: Path) -> zipfile.ZipFile:
+    try:
+        return zipfile.ZipFile(path)
+    except NotImplementedError:
+        problem = "it needs a newer version of the zip format than is supported"
+        raise _refusal(shown, problem, _UNPACK, "import.archive.not-supported") from None
 
 
 def _damaged(archive: Path, error: Exception) -> VolumeImportError:

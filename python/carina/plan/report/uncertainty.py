@@ -12,7 +12,7 @@ from carina.plan.targets.grow_nodule import Nodule
 from carina.plan.turns.turn_list import TurnList
 from carina.plan.verdict.verdict import Verdict
 from carina.track import Airways, Branch, drawn_tree
-from carina.volume import Volume
+from carina.volume import Volume, badges_of
 
 THICK_MM = 1.5
 """Distance in mm between slices above which small airways are hidden and boundaries blurred."""
@@ -144,12 +144,14 @@ def _of_leg(route: PlannedRoute) -> list[str]:
 
 
 def _of_ct(volume: Volume) -> list[str]:
+    found = [_sentence(note.words) for note in badges_of(volume)]
     coarsest = max(volume.spacing_mm)
     if coarsest <= THICK_MM:
-        return []
+        return found
     return [
+        *found,
         f"Slices are {coarsest:.1f} mm apart. Planning needs 1 mm or less: small airways, narrow places and the "
-        "target's boundary are less certain than on a thin-slice CT."
+        "target's boundary are less certain than on a thin-slice CT.",
     ]
 
 

@@ -20,6 +20,7 @@ from carina.server.files.job_results import set_failure, set_result
 from carina.server.files.one_shot_file import OneShotFileResponse, new_folder
 from carina.session import Session
 from carina.session.jobs.background_jobs import Job
+from carina.volume import badges_of
 
 REPORT_SUFFIXES = (".html", ".pdf", ".json")
 PLAN_SUFFIXES = (".mrk.json", ".seg.nrrd")
@@ -93,7 +94,8 @@ class Reports:
             try:
                 if path.name.endswith(PLAN_SUFFIXES):
                     airways = materials.airways
-                    set_result(done, export_plan(path, materials.plan, airways.tree, badges=airways.badges))
+                    badges = badges_of(materials.volume, airways)
+                    set_result(done, export_plan(path, materials.plan, airways.tree, badges=badges))
                     return
                 if archive is not None and not path.name.endswith(".pdf.dcm"):
                     set_result(done, archive.export(path, materials, job))

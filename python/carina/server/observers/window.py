@@ -26,6 +26,8 @@ WITHOUT_NAMES = frozenset(
         "import.part-of-stack",
         "import.rescale-absent",
         "import.scaling",
+        "import.slices-interpolated",
+        "import.tilt-corrected",
         "import.two-patients",
     }
 )

@@ -273,6 +273,8 @@ class CaseOpener(CommandHandlers):
         # release_case() may wait for the disk, so it is called without the lock, and images are still rendered.
         self._saving.release_case()
         with self.core.lock:
+            # A job may have begun in the meantime, such as the score of an attempt that the closing has ended.
+            self.core.jobs.cancel_kinds()
             self._discard_case()
             self.core.case = None
             self.core.changed(*ALL_TOPICS, "flights", "start")
@@ -299,6 +301,8 @@ class CaseOpener(CommandHandlers):
 
     def _discard_case(self) -> None:
         """Stop all computations for the case on screen and release its data; the caller holds the session's lock."""
+        for step in self.core.after_case:
+            step()
         if self.core.case is not None:
             self.core.case.discard()
 

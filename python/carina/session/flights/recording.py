@@ -160,6 +160,8 @@ class FlightRecorder(CommandHandlers):
                     self._store_recording(flight, recorder.length_s)
                     self.core.emit(UserMessage(f"{recorder.length_s:.0f} s recorded in the case: {flight.name}"))
                 self.core.changed("state", "flights")
+            # A closed case must not stay in memory.
+            self._recorded_case = self._into = None
             return self._path
 
     def _store_recording(self, flight: RecordingFacts, length_s: float) -> None:

@@ -39,6 +39,8 @@ SAMPLE_S = 0.05
 """Time between two samples of the tip."""
 SCORE_S = 1.0
 """Time between two computations of the score of the running attempt."""
+PAUSE_SHARE = 10.0
+"""Smallest ratio of the time between two scores of the running attempt to the time that a score takes."""
 ENTRY_MM = 5.0
 """Insertion at which an attempt begins, so that the trachea's cut end is not in the picture."""
 NOT_STORED = "this case is not stored on this machine, so the flight of a task cannot be recorded: save the case first"
@@ -176,8 +178,10 @@ class TrainingHandlers(CommandHandlers):
             if not self._sample(case, attempt):
                 return False
             now_s = self.core.clock()
-        if now_s - attempt.scored_s >= SCORE_S:
+        if now_s - attempt.scored_s >= max(SCORE_S, attempt.pause_s):
             attempt.update_score(now_s)
+            # The score of a long flight takes seconds; the views and the samples of the tip need this time, too.
+            attempt.pause_s = PAUSE_SHARE * (self.core.clock() - now_s)
             with self.core.lock:
                 if self.core.case is case and self._of(case).attempt is attempt:
                     self.core.changed("training")
@@ -223,6 +227,10 @@ class TrainingHandlers(CommandHandlers):
         attempt = self._of(case).attempt
         if attempt is not None and case.document.airways is not attempt.airways:
             self._end(case, attempt, "interrupted", AIRWAYS_CHANGED)
+
+    def discard(self) -> None:
+        """Release attempt and scores, because their case is being closed; the caller holds the session's lock."""
+        self._state = None
 
     # ------------------------------------------------------------ scores
 
@@ -271,6 +279,8 @@ class TrainingHandlers(CommandHandlers):
             found = score_flight(airways.tree, wall_mm, flight_frames(recording), chosen, progress=job.progress)
             with self.core.lock:
                 job.check()
+                if self.core.case is not case:
+                    return
                 self._of(case).scores[number] = found
                 self.core.changed("training")
 

@@ -63,6 +63,8 @@ class LiveAttempt:
         """Set when the attempt has ended."""
         self.scored_s = begun_s
         """Time of the newest score on the session's clock."""
+        self.pause_s = 0.0
+        """Smallest time from the newest score to the next one."""
         self._score: Score | None = None
 
     @property

@@ -151,6 +151,10 @@ class QuizHandlers(CommandHandlers):
             self._quiz = None
             self.core.changed("training")
 
+    def discard(self) -> None:
+        """Release the quiz, because its case is being closed; the caller holds the session's lock."""
+        self._quiz = None
+
     def _needed(self) -> _Quiz:
         quiz = self._quiz
         if quiz is None or quiz.case is not self.core.case:
