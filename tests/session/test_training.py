@@ -33,7 +33,7 @@ from carina.commands import (
     StopTask,
     TrainingOf,
 )
-from carina.errors import NoResultError, UsageError
+from carina.errors import CarinaError, NoResultError, UsageError
 from carina.session import CaseRecords, Session, UserMessage, case_files, default_parts
 from carina.session.open_case.open_case import OpenCase
 from carina.session.training import attempts
@@ -80,6 +80,21 @@ class Workstation:
     def info(self):
         return self.session.ask(TrainingOf())
 
+    def text_of(self, number: int) -> str:
+        """Return the lines of a flight, however long a busy machine takes to write them."""
+        found = []
+
+        def is_written() -> bool:
+            try:
+                found.append(self.session.ask(FlightFileQuery(number)))
+            except CarinaError as error:
+                assert error.code == "case.not-saved"
+                return False
+            return True
+
+        until(is_written)
+        return found[0]
+
     def scored(self, num: int = 1):
         """Return the scores, once there are so many and no attempt runs."""
         until(lambda: len(self.info.scores) >= num and self.info.running is None)
@@ -107,7 +122,7 @@ class Workstation:
                 return
 
 
-def until(condition, seconds=20.0):
+def until(condition, seconds=120.0):
     """Wait for a condition of another thread."""
     end = time.monotonic() + seconds
     while not condition():
@@ -157,7 +172,7 @@ def test_score_in_the_window_equals_the_score_of_the_recording(workstation, ches
     workstation.advance_tip(40.0)
     workstation.session.do(StopTask())
     path = tmp_path / "flight.jsonl"
-    path.write_text(workstation.session.ask(FlightFileQuery(flights(workstation)[0].number)), encoding="utf-8")
+    path.write_text(workstation.text_of(flights(workstation)[0].number), encoding="utf-8")
     volume, airways, wall = chest
     again = carina.score_recording(volume, airways, path, wall=wall)
     (shown,) = workstation.scored()
