@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import gc
 import threading
@@ -85,12 +86,10 @@ class Workstation:
         found = []
 
         def is_written() -> bool:
-            try:
+            # The query fails if the disk has not responded within its limit.
+            with contextlib.suppress(CarinaError):
                 found.append(self.session.ask(FlightFileQuery(number)))
-            except CarinaError as error:
-                assert error.code == "case.not-saved"
-                return False
-            return True
+            return bool(found)
 
         until(is_written)
         return found[0]
