@@ -24,7 +24,7 @@ Points = NDArray[np.float64]
 SMOOTH_MM = 1.5
 """Half the length in mm over which the axis of the lumen is averaged: measured centres scatter by some 0.1 mm."""
 WIDE_MM = 4.2
-"""Radius in mm up to which the lumen is widened; a wall field stores no larger distances than 4.5 mm."""
+"""Radius in mm up to which the lumen is widened: no instrument is wider, and a wall field stores up to 4.5 mm."""
 CENTRE_MM = 0.1
 """Distance in mm of the axis from a measured centre that does not count: measured centres scatter by this distance."""
 MIN_RADIUS_MM = 1e-3
@@ -56,9 +56,14 @@ class MeasuredLumen:
             Share of each diameter's error by which the measured lumen is narrower.
         """
         radius = _limited(self.axis_lps, self.ball_mm + self.lack_mm - 0.5 * error_share * self.error_mm)
-        if not (radius > self.ball_mm).any():
+        wider = np.flatnonzero(radius > self.ball_mm)
+        if not len(wider):
             return wall
-        return wall.with_tube(self.axis_lps, np.maximum(radius, MIN_RADIUS_MM))
+        # Each part of a tube takes time in a drive, so the tube extends only from the first to the last wider place.
+        own = slice(max(int(wider[0]) - 1, 0), int(wider[-1]) + 2)
+        if own.stop - own.start < 2:
+            return wall
+        return wall.with_tube(self.axis_lps[own], np.maximum(radius[own], MIN_RADIUS_MM))
 
 
 def measured_lumen(lineage: Sequence[Branch], wall: WallField, measures: TreeMeasures) -> MeasuredLumen | None:
@@ -97,12 +102,12 @@ def measured_lumen(lineage: Sequence[Branch], wall: WallField, measures: TreeMea
     behind = known[np.minimum(np.searchsorted(known, np.arange(len(axis))), len(known) - 1)]
     lack, most = (np.fmin(values[before], values[behind]) for values in (measured - ball, measured))
     # A section in a fork can show that the fork is narrow, but not that it is wide.
-    lack = np.fmin(lack, np.fmin(np.fmin(most, measured), WIDE_MM) - ball)
+    lack = np.fmin(lack, np.fmin(most, measured) - ball)
     error = np.fmax(error[before], error[behind])
     own = slice(int(narrow[0]), len(axis))
     if own.stop - own.start < 2:
         return None
-    is_narrow = ball[own] < WIDE_MM
+    is_narrow = np.fmax(ball, most)[own] < WIDE_MM
     return MeasuredLumen(axis[own], np.minimum(ball[own], WIDE_MM), np.where(is_narrow, lack[own], 0.0), error[own])
 
 
