@@ -10,8 +10,10 @@ import phantom_plan
 import pytest
 
 from cached_test_data import cached_phantom
+from carina.phantom import lumen_distance_at
 from carina.plan.routes.measured_lumen import MeasuredLumen, measured_lumen
 from carina.plan.routes.route_width import measures_of
+from carina.scopes import WallField
 from carina.track import Branch
 
 
@@ -49,6 +51,56 @@ def test_measured_lumen_has_the_true_radius_where_the_segmented_one_is_too_narro
     assert len(wide) > 100
     assert np.median(narrow) < -0.2 and abs(np.median(wide)) < 0.2
     assert np.median(low) < 0.05 and np.quantile(low, 0.9) < 0.3
+
+
+def test_measured_lumen_near_a_fork_does_not_extend_into_the_carina() -> None:
+    wall, excess = phantom_plan.wall(), []
+    for lineage in lineages():
+        lumen = lumen_of(lineage)
+        forks = np.array([branch.points[-1] for branch in lineage[:-1]])
+        near = np.linalg.norm(lumen.axis_lps[:, None] - forks, axis=2).min(axis=1) < 4.0
+        near &= lumen.ball_mm < 3.5
+        axis = lumen.axis_lps[near]
+        true_mm = -lumen_distance_at(axis, seed=phantom_plan.CHEST["seed"])
+        excess.append(lumen.widened(wall).distance_mm(axis) - np.fmax(true_mm, lumen.ball_mm[near]))
+    wide = np.concatenate(excess)
+    assert len(wide) > 100
+    assert np.median(wide) < 0.1 and np.quantile(wide, 0.95) < 0.35 and wide.max() < 0.5
+
+
+def test_measured_lumen_ignores_a_section_whose_centre_is_behind_a_wall() -> None:
+    lineage = lineages()[0]
+    measures = measures_of(phantom_plan.volume(), phantom_plan.airways(), None)
+    tip = measures.of(lineage[-1].id)
+    aside = np.cross(tip.normal_lps, [0.3, 0.5, 0.8])
+    aside *= 4.0 / np.linalg.norm(aside, axis=1, keepdims=True)
+    astray = dataclasses.replace(tip, centre_lps=tip.centre_lps + aside)
+    branches = tuple(astray if one is tip else one for one in measures.branches)
+    found = measured_lumen(lineage, phantom_plan.wall(), dataclasses.replace(measures, branches=branches))
+    usual = lumen_of(lineage)
+    assert found is not None and len(found.axis_lps) == len(usual.axis_lps)
+    assert np.linalg.norm(found.axis_lps - usual.axis_lps, axis=1).max() < 1.5
+    assert (found.lack_mm[-len(tip.at_mm) :] <= usual.lack_mm.max()).all()
+
+
+@pytest.mark.parametrize("length_mm", [0.4, 0.8, 1.6])
+def test_measured_lumen_beside_a_short_stenosis_does_not_fill_the_stenosis(length_mm: float) -> None:
+    # A tube with a radius of 1.5 mm has a web with an opening of 0.7 mm, as exact distances 0.2 mm apart.
+    step, num = 0.2, 61
+    k, j, i = (np.indices((num, num, num)) - num // 2) * step
+    across, along = np.hypot(i, j), np.maximum(np.abs(k) - 0.5 * length_mm, 0.0)
+    to_web = np.hypot(np.maximum(0.7 - across, 0.0), along)
+    distance = np.where((along == 0.0) & (across > 0.7), 0.7 - across, np.minimum(1.5 - across, to_web))
+    place = np.diag([step, step, step, 1.0])
+    place[:3, 3] = -step * (num // 2)
+    wall = WallField.from_distances(distance.astype(np.float32), place)
+    at = np.arange(-5.0, 5.01, 0.3)
+    axis = np.stack([np.zeros_like(at), np.zeros_like(at), at], axis=1)
+    ball = wall.ball_mm(axis)
+    radius = np.where(np.abs(at) <= 0.5 * length_mm, 0.7, 1.5)
+    wide = MeasuredLumen(axis, ball, radius - ball, np.zeros_like(at)).widened(wall)
+    assert wide.distance_mm(axis).min() < 0.8
+    assert wide.distance_mm([[0.0, 0.0, 3.0]])[0] == pytest.approx(1.5, abs=0.01)
 
 
 def test_measured_lumen_without_a_narrow_place_or_a_lack_leaves_the_wall_unchanged() -> None:

@@ -26,6 +26,7 @@ from carina.commands import (
     ScoreFlight,
     ScoreOf,
     SetMode,
+    SetScope,
     StartQuiz,
     StartTask,
     Steer,
@@ -199,6 +200,7 @@ def test_task_ends_at_its_time_limit(workstation, monkeypatch):
     [
         (lambda session: session.do(SetMode("free")), "the scope was taken out of the airways"),
         (lambda session: session.do(StopRecording()), "the recording was stopped"),
+        (lambda session: session.do(SetScope("ultrathin")), "the instrument was changed"),
     ],
 )
 def test_task_that_ends_for_another_reason_is_scored_and_does_not_count(workstation, end, reason):

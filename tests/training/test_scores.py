@@ -405,6 +405,15 @@ def test_note_of_a_mirrored_chest_is_part_of_the_score(chest, best):
     assert "mirror image" in score.notes[1]
 
 
+def test_names_that_a_person_gave_are_stated(chest, best):
+    named = AirwayTree(
+        tuple(replace(one, name_from="person") if one.name == "RB8" else one for one in chest.tree.branches)
+    )
+    frames = flight_frames(recording_of(best[:40], chest.volume))
+    score = score_flight(named, chest.wall, frames, find_task("inspect-all"))
+    assert score.notes == ("a person has given or confirmed the names of these branches: RB8",)
+
+
 def test_uncertain_names_are_reported(chest, best):
     doubtful = AirwayTree(
         tuple(replace(one, name_confidence=0.6) if one.name == "RB8" else one for one in chest.tree.branches)

@@ -377,7 +377,7 @@ class FlightScorer:
             lumen_in_middle=float(places.lumen_in_middle[first : last + 1].mean()),
             result=result,
             doubts=doubts,
-            notes=(*_case_notes(tree, absent), *_flight_notes(frames, task)),
+            notes=(*_case_notes(tree, absent, segment_ids), *_flight_notes(frames, task)),
             events=tuple(sorted(events, key=lambda one: (one.time_s, order.get(one.kind, 1)))),
             frames=frames,
             clock_start_s=first / FRAME_HZ,
@@ -485,7 +485,7 @@ def _scored_contact(contact: WallContact, names: dict[int, str]) -> ScoredContac
     )
 
 
-def _case_notes(tree: AirwayTree, absent: tuple[str, ...]) -> list[str]:
+def _case_notes(tree: AirwayTree, absent: tuple[str, ...], segment_ids: list[int]) -> list[str]:
     found = []
     if is_mirrored(tree):
         found += [note.words for note in tree.notes if note.code == MIRRORED]
@@ -498,6 +498,9 @@ def _case_notes(tree: AirwayTree, absent: tuple[str, ...]) -> list[str]:
             f"this case has {num} of the {len(SEGMENTS)} segments; no branch has the name {' or '.join(absent)} "
             "(absent, not found or not named)"
         )
+    by_person = [one.name for one in tree.branches if one.id in segment_ids and one.name_from == "person" and one.name]
+    if by_person:
+        found.append(f"a person has given or confirmed the names of these branches: {', '.join(by_person)}")
     return found
 
 

@@ -24,8 +24,11 @@ Points = NDArray[np.float64]
 SMOOTH_MM = 1.5
 """Half the length in mm over which the axis of the lumen is averaged: measured centres scatter by some 0.1 mm."""
 WIDE_MM = 4.2
-"""Radius in mm up to which the lumen is widened; a wall field stores no larger distances than 4.5 mm."""
-MIN_RADIUS_MM = 0.1
+"""Radius in mm up to which the lumen is widened: no instrument is wider, and a wall field stores up to 4.5 mm."""
+CENTRE_MM = 0.1
+"""Distance in mm of the axis from a measured centre that does not count: measured centres scatter by this distance."""
+MIN_RADIUS_MM = 1e-3
+"""Radius in mm of the tube where there is no lumen; it must be above 0, and no instrument is thinner."""
 
 
 @one_line
@@ -52,17 +55,24 @@ class MeasuredLumen:
         error_share
             Share of each diameter's error by which the measured lumen is narrower.
         """
-        more = self.lack_mm - 0.5 * error_share * self.error_mm
-        if not (more > 0.0).any():
+        radius = _limited(self.axis_lps, self.ball_mm + self.lack_mm - 0.5 * error_share * self.error_mm)
+        wider = np.flatnonzero(radius > self.ball_mm)
+        if not len(wider):
             return wall
-        return wall.with_tube(self.axis_lps, np.maximum(self.ball_mm + more, MIN_RADIUS_MM))
+        # Each part of a tube takes time in a drive, so the tube extends only from the first to the last wider place.
+        own = slice(max(int(wider[0]) - 1, 0), int(wider[-1]) + 2)
+        if own.stop - own.start < 2:
+            return wall
+        return wall.with_tube(self.axis_lps[own], np.maximum(radius[own], MIN_RADIUS_MM))
 
 
 def measured_lumen(lineage: Sequence[Branch], wall: WallField, measures: TreeMeasures) -> MeasuredLumen | None:
     """Return the measured lumen along a route; None if the lumen is nowhere narrow or was not measured.
 
-    Between two measured places, as at the start of a branch, the difference of measured and segmented radius is
-    interpolated. Where the lumen cannot be measured (drawn branches, bridges), the difference is 0.
+    Only sections away from forks widen the lumen. Elsewhere, as in a fork, the difference of measured and segmented
+    radius is the smaller one of the nearest sections before and behind, and the radius is at most the smaller one of
+    these sections, so that the tube does not extend into the carina. Where the lumen cannot be measured (drawn
+    branches, bridges), the difference is 0.
 
     Parameters
     ----------
@@ -74,29 +84,60 @@ def measured_lumen(lineage: Sequence[Branch], wall: WallField, measures: TreeMea
         Measures of the tree.
     """
     parts = [_branch_lumen(branch, wall, measures.of(branch.id), measures.passage(branch.id)) for branch in lineage]
-    points = np.concatenate([part[0] for part in parts])
-    radius, error, is_open = (np.concatenate([part[n] for part in parts]) for n in (1, 2, 3))
+    points = np.concatenate([part.middle_lps for part in parts])
+    radius, error = (np.concatenate([getattr(part, name) for part in parts]) for name in ("radius_mm", "error_mm"))
+    is_open, is_sound = (np.concatenate([getattr(part, name) for part in parts]) for name in ("is_open", "is_sound"))
     along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
     near = np.abs(along[:, None] - along) <= SMOOTH_MM
     axis = (near @ points) / near.sum(axis=1, keepdims=True)
     ball = wall.ball_mm(axis)
-    lack = np.where(is_open, 0.0, radius - ball)
-    known = np.flatnonzero(np.isfinite(lack))
     narrow = np.flatnonzero((ball < WIDE_MM) & (ball > 0.0))
+    known = np.flatnonzero(is_open | is_sound)
     if not len(known) or not len(narrow):
         return None
-    lack, error = (np.interp(along, along[known], values[known]) for values in (lack, error))
+    # A smoothed axis cuts the corner of a bend, where a ball on the axis has less space than one on the centre.
+    off = np.maximum(np.linalg.norm(axis - points, axis=1) - CENTRE_MM, 0.0)
+    measured = np.where(is_open, ball, radius - off)
+    before = known[np.maximum(np.searchsorted(known, np.arange(len(axis)), side="right") - 1, 0)]
+    behind = known[np.minimum(np.searchsorted(known, np.arange(len(axis))), len(known) - 1)]
+    lack, most = (np.fmin(values[before], values[behind]) for values in (measured - ball, measured))
+    # A section in a fork can show that the fork is narrow, but not that it is wide.
+    lack = np.fmin(lack, np.fmin(most, measured) - ball)
+    error = np.fmax(error[before], error[behind])
     own = slice(int(narrow[0]), len(axis))
     if own.stop - own.start < 2:
         return None
-    wide = np.minimum(ball[own], WIDE_MM)
-    return MeasuredLumen(axis[own], wide, np.where(ball[own] < WIDE_MM, lack[own], 0.0), error[own])
+    is_narrow = np.fmax(ball, most)[own] < WIDE_MM
+    return MeasuredLumen(axis[own], np.minimum(ball[own], WIDE_MM), np.where(is_narrow, lack[own], 0.0), error[own])
 
 
-def _branch_lumen(
-    branch: Branch, wall: WallField, measured: BranchMeasures, passage: Passage
-) -> tuple[Points, Points, Points, NDArray[np.bool_]]:
-    """Return for each point of a branch: middle of the lumen, radius and error (NaN if unknown), whether unmeasured."""
+def _limited(axis: Points, radius: Points) -> Points:
+    """Return radii of which no ball on the axis contains the narrower lumen at another point of the axis.
+
+    Without this limit, the balls beside a short stenosis would fill the stenosis.
+    """
+    apart = np.linalg.norm(axis[:, None] - axis[None], axis=2)
+    limited: Points = (np.maximum(radius, 0.0) + apart).min(axis=1)
+    return limited
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _BranchLumen:
+    """Lumen at the points of a branch; each field has one row for each point."""
+
+    middle_lps: Points
+    radius_mm: Points
+    """NaN where it is unknown."""
+    error_mm: Points
+    """Half of the interval of the diameter, mm; NaN where it is unknown."""
+    is_open: NDArray[np.bool_]
+    """Whether the lumen could not be measured."""
+    is_sound: NDArray[np.bool_]
+    """Whether a section away from forks was measured."""
+
+
+def _branch_lumen(branch: Branch, wall: WallField, measured: BranchMeasures, passage: Passage) -> _BranchLumen:
+    """Return the lumen at each point of a branch."""
     middle = middle_line(branch, wall)
     radius, error = np.full((2, len(middle)), np.nan)
     is_open = np.zeros(len(middle), dtype=bool)
@@ -104,6 +145,10 @@ def _branch_lumen(
     error[is_open] = 0.0
     at = np.searchsorted(measured.at_mm, passage.at_mm - 1e-6)
     radius[at], error[at] = 0.5 * passage.diameter_mm, passage.error_mm
-    own = at[~measured.at_junction[at] & np.isfinite(measured.centre_lps[at]).all(axis=1)]
-    middle[own] = measured.centre_lps[own]
-    return middle, radius, error, is_open
+    is_sound = np.zeros(len(middle), dtype=bool)
+    is_sound[at] = ~measured.at_junction[at] & np.isfinite(measured.centre_lps[at]).all(axis=1)
+    # A centre behind a wall is that of a neighbouring lumen, or of both lumens beside a wall too thin to be visible.
+    to_centre = np.stack([0.5 * (middle + measured.centre_lps), measured.centre_lps])[:, is_sound]
+    is_sound[is_sound] = (wall.distance_mm(to_centre.reshape(-1, 3)).reshape(2, -1) > 0.0).all(axis=0)
+    middle[is_sound] = measured.centre_lps[is_sound]
+    return _BranchLumen(middle, radius, error, is_open, is_sound)

@@ -12,7 +12,7 @@ from carina.errors import UsageError
 from carina.plan.instruments.tools import Tool
 from carina.plan.routes.plan_route import Plan, PlannedRoute
 from carina.plan.verdict.drive_search import EFFORT
-from carina.plan.verdict.route_judge import InstrumentChecks, RouteJudge, SimulatedDrive, mechanical_sizes, tool_for
+from carina.plan.verdict.route_judge import InstrumentChecks, RouteJudge, SimulatedDrive, tool_for
 from carina.plan.verdict.verdict import OUTCOMES, Verdict
 from carina.scopes import ScopePreset, WallField, scope_presets
 from carina.track import AirwayTree
@@ -110,16 +110,13 @@ def judge_scopes(
         # Instruments with the same mechanical sizes share one simulated drive.
         drives: dict[tuple[Any, ...], Future[SimulatedDrive]] = {}
         for figures in waiting.values():
-            assert figures.driven_as is not None
-            sizes = mechanical_sizes(figures.driven_as)
-            if sizes not in drives:
-                drives[sizes] = pool.submit(judge.drive, figures.driven_as)
+            if figures.drive_key not in drives:
+                drives[figures.drive_key] = pool.submit(judge.drive, figures)
         try:
             for done in as_completed(drives.values()):
                 drive = done.result()
                 for n, figures in waiting.items():
-                    assert figures.driven_as is not None
-                    if drives[mechanical_sizes(figures.driven_as)] is done:
+                    if drives[figures.drive_key] is done:
                         tell(n, judge.driven(listed[n], figures, drive))
         except BaseException:
             judge.stopped = True

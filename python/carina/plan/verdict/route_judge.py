@@ -99,6 +99,14 @@ class InstrumentChecks:
     checks: tuple[Check, ...]
     driven_as: ScopePreset | None
     """Instrument whose drive is simulated, or a thinner substitute; None if no drive is needed or possible."""
+    is_substitute: bool = False
+    """Whether ``driven_as`` is a substitute."""
+
+    @property
+    def drive_key(self) -> tuple[Any, ...]:
+        """Key of the simulated drive, which is equal for instruments that share a drive."""
+        assert self.driven_as is not None
+        return self.is_substitute, *mechanical_sizes(self.driven_as)
 
 
 @dataclass(frozen=True, slots=True)
@@ -175,27 +183,31 @@ class RouteJudge:
         figures = self.figures(scope)
         if figures.driven_as is None:
             return self.undriven(scope, figures)
-        return self.driven(scope, figures, self.drive(figures.driven_as))
+        return self.driven(scope, figures, self.drive(figures))
 
     def tip_of(self, scope: ScopePreset) -> NDArray[np.float64] | None:
         """Return the pose (4, 4), LPS mm, of an instrument's tip after its drive; None if no drive is cached."""
-        driven_as = self.figures(scope).driven_as
-        known = None if driven_as is None else _DRIVES.get(self._route, {}).get(self._inputs(driven_as))
+        figures = self.figures(scope)
+        known = None if figures.driven_as is None else _DRIVES.get(self._route, {}).get(self._inputs(figures))
         return None if known is None else known[1].lps_from_tip
 
     def pass_on(self, route: PlannedRoute) -> None:
         """Copy the cached drives along this route to another version of the route."""
         _DRIVES[route] = dict(_DRIVES.get(self._route, {}))
 
-    def drive(self, scope: ScopePreset) -> SimulatedDrive:
-        """Return the simulated drive of an instrument, which is computed once for the same inputs."""
-        inputs, known = self._inputs(scope), _DRIVES.setdefault(self._route, {})
+    def drive(self, figures: InstrumentChecks) -> SimulatedDrive:
+        """Return the simulated drive of an instrument or its substitute, computed once for the same inputs."""
+        assert figures.driven_as is not None
+        inputs, known = self._inputs(figures), _DRIVES.setdefault(self._route, {})
         if inputs not in known:
             # The cache entry refers to airways, wall and nodule, so that their identities in the key stay valid.
-            known[inputs] = (self._tree, self._wall, self._plan.nodule), self._drive(scope)
+            known[inputs] = (
+                (self._tree, self._wall, self._plan.nodule),
+                self._drive(figures.driven_as, is_substitute=figures.is_substitute),
+            )
         return known[inputs][1]
 
-    def _inputs(self, scope: ScopePreset) -> tuple[Any, ...]:
+    def _inputs(self, figures: InstrumentChecks) -> tuple[Any, ...]:
         return (
             id(self._tree),
             id(self._wall),
@@ -204,7 +216,7 @@ class RouteJudge:
             self._plan.tool,
             self._plan.errors if self._errors else None,
             self._effort,
-            mechanical_sizes(scope),
+            figures.drive_key,
         )
 
     def stop_if_cancelled(self) -> None:
@@ -230,7 +242,7 @@ class RouteJudge:
             if checks[0].answer == "perhaps" or is_tight:
                 slim = min(max(room_mm - SLIMMER_MM, THINNEST_MM), scope.tip_mm)
                 driven_as = replace(scope, tip_mm=slim, tube_mm=None)
-        return InstrumentChecks(checks, driven_as)
+        return InstrumentChecks(checks, driven_as, driven_as is not None and driven_as is not scope)
 
     def undriven(self, scope: ScopePreset, figures: InstrumentChecks) -> Verdict:
         """Return the verdict on an instrument without a simulated drive."""
@@ -245,7 +257,7 @@ class RouteJudge:
     def driven(self, scope: ScopePreset, figures: InstrumentChecks, drive: SimulatedDrive) -> Verdict:
         """Return the verdict on an instrument from its checks and its simulated drive."""
         checks = drive.checks
-        if figures.driven_as is not scope:
+        if figures.is_substitute:
             assert figures.driven_as is not None
             thinner = f"; driven as a scope of {figures.driven_as.tip_mm:.1f} mm, not with its own width"
             checks = tuple(
@@ -290,8 +302,11 @@ class RouteJudge:
         end = tip + float(np.linalg.norm(self._way.aim - tip)) * forward
         return as_point(tip), as_point(end)
 
-    def _drive(self, scope: ScopePreset) -> SimulatedDrive:
-        """Simulate the drive of an instrument, and point its tip at the target if it arrives."""
+    def _drive(self, scope: ScopePreset, *, is_substitute: bool) -> SimulatedDrive:
+        """Simulate the drive of an instrument, and point its tip at the target if it arrives.
+
+        A substitute is not driven in the narrowest lumen: its verdict states only what follows if the instrument fits.
+        """
         try:
             route = search_drive(self._way, self._drive_wall, scope, effort=self._effort, cancel=self._is_cancelled)
         except UsageError as error:
@@ -325,7 +340,7 @@ class RouteJudge:
             aimed = shorter if shorter.share >= min(aimed.share, ENOUGH) else aimed
         words = f"arrives at the end of the route by {len(route.moves)} moves"
         arrives = Check("drive", "yes", 1.0, words, MECHANICS)
-        if aimed.share >= POINTS and not self._points_if_narrow(scope, aimed.driven):
+        if not is_substitute and aimed.share >= POINTS and not self._points_if_narrow(scope, aimed.driven):
             arrives = Check("drive", "perhaps", UNFOUND, f"{words}; {NOT_NARROW}", MECHANICS)
         tip = aimed.lps_from_tip
         share = self._hit_share(tip[:3, 3], tip[:3, 2])

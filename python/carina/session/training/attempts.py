@@ -46,6 +46,7 @@ ENTRY_MM = 5.0
 NOT_STORED = "this case is not stored on this machine, so the flight of a task cannot be recorded: save the case first"
 AIRWAYS_CHANGED = "the airways have changed"
 SCOPE_REMOVED = "the scope was taken out of the airways"
+SCOPE_CHANGED = "the instrument was changed"
 RECORDING_STOPPED = "the recording was stopped"
 
 
@@ -202,6 +203,8 @@ class TrainingHandlers(CommandHandlers):
             self._end(case, attempt, "interrupted", AIRWAYS_CHANGED)
         elif case.navigator.mode != "scope":
             self._end(case, attempt, "interrupted", SCOPE_REMOVED)
+        elif case.document.look.scope != attempt.scope_name:
+            self._end(case, attempt, "interrupted", SCOPE_CHANGED)
         elif attempt.is_completed:
             self._end(case, attempt, "completed")
         elif attempt.is_over(now_s):

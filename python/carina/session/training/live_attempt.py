@@ -72,6 +72,11 @@ class LiveAttempt:
         """The newest score; None while the tip has not been in the airways."""
         return self._score
 
+    @property
+    def scope_name(self) -> str:
+        """Name of the instrument with which the attempt began."""
+        return self._optics.scope.name
+
     def elapsed_s(self, now_s: float) -> float:
         """Return the time since the beginning of the attempt."""
         return max(now_s - self.begun_s, 0.0)
