@@ -36,11 +36,14 @@ from carina.commands import (
     TrainingOf,
 )
 from carina.errors import CarinaError, NoResultError, UsageError
+from carina.scopes import scope_preset
 from carina.session import CaseRecords, Session, UserMessage, case_files, default_parts
 from carina.session.open_case.open_case import OpenCase
 from carina.session.training import attempts
 from carina.session.training.attempts import TrainingHandlers, entry_way
-from carina.training import find_task
+from carina.session.training.live_attempt import LiveAttempt
+from carina.training import FlightEvent, find_task
+from carina.training.flight_frames import FlightOptics
 from small_case import Clock, SmallRenderer
 
 
@@ -373,3 +376,23 @@ def test_task_ends_the_quiz(workstation):
     workstation.start("find-lb6")
     assert workstation.info.quiz is None
     workstation.session.do(StopTask())
+
+
+@pytest.mark.parametrize(
+    ("task", "kind", "text"),
+    [
+        ("inspect-all", "seen", "seen"),
+        ("inspect-all", "visit", "visited: RB4"),
+        ("find-rb6", "visit", "visited"),
+        ("find-rb6", "wrong-segment", "another segment"),
+        ("hold-rul", "seen", "seen: RB4"),
+        ("turns-to-rb10", "entered", "entered: RB4"),
+        ("find-rb6", "contact", "touching the wall at 3 o'clock"),
+    ],
+)
+def test_messages_of_a_task_without_names_name_no_segment_that_the_trainee_must_recognise(chest, task, kind, text):
+    volume, airways, wall = chest
+    pose = carina.FlightPath(entry_way(airways.tree)).pose_at(5.0)
+    optics = FlightOptics(scope_preset("generic"), False, 120.0, False)
+    attempt = LiveAttempt(find_task(task), airways, wall, optics=optics, flight=1, begun_s=0.0, pose=pose)
+    assert attempt._event_words(FlightEvent(1.0, kind, "RB4", "3 o'clock")) == text

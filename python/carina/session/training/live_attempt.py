@@ -162,7 +162,8 @@ class LiveAttempt:
         words = _EVENT_WORDS[event.kind]
         if event.kind == "contact":
             return f"{words} at {event.detail}"
-        return f"{words}: {event.name}" if self.task.names_shown or event.kind not in _NAMING else words
+        named = self.task.names_shown or event.kind in _STEPS or (event.kind in _VISITS and self.task.kind == "inspect")
+        return f"{words}: {event.name}" if named else words
 
 
 _EVENT_WORDS = {
@@ -176,5 +177,7 @@ _EVENT_WORDS = {
     "entered": "entered",
     "held": "held",
 }
-_NAMING = frozenset({"wrong-branch", "wrong-segment"})
-"""Kinds of events whose name would tell the trainee of a task without names where the tip is."""
+_STEPS = frozenset({"landmark", "entered", "held"})
+"""Kinds of events whose name the task states."""
+_VISITS = frozenset({"visit", "revisit"})
+"""Kinds of events that name a segment of an inspection after its visit."""
