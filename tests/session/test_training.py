@@ -391,7 +391,7 @@ def test_task_ends_the_quiz(workstation):
     ],
 )
 def test_messages_of_a_task_without_names_name_no_segment_that_the_trainee_must_recognise(chest, task, kind, text):
-    volume, airways, wall = chest
+    _, airways, wall = chest
     pose = carina.FlightPath(entry_way(airways.tree)).pose_at(5.0)
     optics = FlightOptics(scope_preset("generic"), False, 120.0, False)
     attempt = LiveAttempt(find_task(task), airways, wall, optics=optics, flight=1, begun_s=0.0, pose=pose)
