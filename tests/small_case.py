@@ -146,6 +146,9 @@ class SmallTracker:
     def inside(self, points_lps: Any) -> Any:
         return np.array([self.tree.nearest_branch(point)[2] <= 3.0 for point in points_lps])
 
+    def branch_at(self, point_lps: Any) -> int:
+        return self.tree.nearest_branch(point_lps)[0].id
+
     def live_path(self, point_lps: Any) -> Any:
         branch, _, distance = self.tree.nearest_branch(point_lps)
         if distance > 5.0:

@@ -24,7 +24,8 @@ class Writing:
         self.texts = SharedTexts(
             SimpleNamespace(
                 snapshot=lambda: SimpleNamespace(
-                    document=SimpleNamespace(airways=self.newest, route=None), route_scale=None
+                    document=SimpleNamespace(airways=self.newest, route=None, cost_of=lambda _route: "lumen"),
+                    route_scale=None,
                 )
             ),
             None,

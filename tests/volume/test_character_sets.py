@@ -16,7 +16,7 @@ from carina.errors import UsageError
 from carina.export.plan_dicom import ct_images, file_bytes, new_object
 from carina.volume import open_volume
 from carina.volume.character_sets import character_set_name, doubtful_texts
-from carina.volume.dicom_headers import read_dataset, read_header
+from carina.volume.dicom_headers import read_dataset, read_image_headers
 
 MUELLER, JAPANESE = "Müller^Jürg", "Yamada^Tarou=山田^太郎=やまだ^たろう"
 
@@ -194,5 +194,5 @@ def test_dicom_header_with_a_damaged_character_set_is_read(tmp_path):
     folder = _named(tmp_path, b"Secret^One", "ISO_IR 100")
     path = folder / "IM001"
     path.write_bytes(path.read_bytes().replace(b"ISO_IR 100", b"\\\xff\\\\\xfe(\n\\  "))
-    header, _ = read_header(folder / "IM001")
+    (header,), _ = read_image_headers(folder / "IM001")
     assert header is not None

@@ -11,9 +11,9 @@ from dicom_writer import chest, packed, repack, series
 from pydicom import dcmread
 
 from carina.volume import jpeg2000_check, open_volume
-from carina.volume.dicom_headers import read_header, read_pixel_bytes
+from carina.volume.dicom_headers import read_image_headers
+from carina.volume.dicom_pixel_bytes import read_stream_bytes
 from carina.volume.dicom_pixels import read_slice
-from carina.volume.dicom_streams import fragments
 from carina.volume.jpeg2000_check import has_second_decoder, j2k_problem
 
 needs_av = pytest.mark.skipif(not has_second_decoder(), reason="PyAV (extra video) is not installed")
@@ -34,9 +34,8 @@ def compressed(tmp_path_factory) -> Path:
 
 
 def _frame(path: Path) -> bytes:
-    header, _ = read_header(path)
-    assert header is not None
-    frame = fragments(read_pixel_bytes(header))
+    (header,), _ = read_image_headers(path)
+    frame = read_stream_bytes(header)
     assert frame is not None
     return frame
 
@@ -64,12 +63,12 @@ def test_damage_of_compressed_slices_above_20_hu_is_always_reported(compressed, 
     silent = []
     for index in range(15):
         source = compressed / f"IM{index % NUM:03d}"
-        clean = read_slice(read_header(source)[0])
+        clean = read_slice(read_image_headers(source)[0][0])
         dataset = dcmread(source)
         repack(dataset, lambda frame: _damaged(frame, rng, kind))
         path = tmp_path / f"{kind}{index}"
         dataset.save_as(path)
-        header, _ = read_header(path)
+        (header,), _ = read_image_headers(path)
         problem = j2k_problem(_frame(path))
         try:
             worst = np.abs(read_slice(header) - clean).max()
@@ -137,7 +136,7 @@ def test_note_states_that_damaged_slices_may_be_missed_without_pyav(compressed, 
 
 def test_cancelled_import_does_not_start_further_checks_of_slices(compressed, monkeypatch):
     """A cancelled import waits only for the slices that are being checked."""
-    headers = [read_header(path)[0] for path in sorted(compressed.iterdir())] * 5
+    headers = [read_image_headers(path)[0][0] for path in sorted(compressed.iterdir())] * 5
     checked, gate = [], threading.Event()
 
     def wait(header):

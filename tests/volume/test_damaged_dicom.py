@@ -14,7 +14,7 @@ from dicom_writer import chest, packed, series
 
 from carina.errors import CarinaError, VolumeImportError
 from carina.volume import open_mask, open_volume
-from carina.volume.dicom_headers import acquisition_date, read_header
+from carina.volume.dicom_headers import acquisition_date, read_image_headers
 from carina.volume.dicom_segmentation import read_segmentation
 from carina.volume.dicom_structures import is_structure_set, read_references, read_structures
 from carina.volume.progress import Watch
@@ -53,13 +53,14 @@ def _flips(whole: bytes, rng: np.random.Generator) -> Iterator[bytes]:
 
 def _read_image(path: Path) -> None:
     try:
-        header, _ = read_header(path)
+        headers, _ = read_image_headers(path)
     except ValueError:
         return  # this is the expected answer for a file that is not DICOM
-    if header is not None and header.problem is None and header.rows * header.columns < 1 << 20:
-        from carina.volume.dicom_pixels import decode_slice
+    for header in headers:
+        if header.problem is None and header.rows * header.columns < 1 << 20:
+            from carina.volume.dicom_pixels import decode_slice
 
-        decode_slice(header)
+            decode_slice(header)
 
 
 READERS: dict[str, Callable[[Path], object]] = {

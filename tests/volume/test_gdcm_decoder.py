@@ -13,7 +13,7 @@ from dicom_writer import chest, packed, repack, series
 import carina.volume.dicom_pixels as pixels
 from carina.errors import VolumeImportError
 from carina.volume import open_volume
-from carina.volume.dicom_headers import read_header
+from carina.volume.dicom_headers import read_image_headers
 
 BITS_12 = {"BitsStored": 12, "HighBit": 11}
 SIGNED = {"PixelRepresentation": 1}
@@ -41,7 +41,7 @@ def test_jpeg_2000_of_any_sign_and_depth_has_the_numbers_of_another_library(tmp_
         return whole(path)
 
     monkeypatch.setattr(pixels, "decode", also_theirs)
-    header, _ = read_header(next(tmp_path.glob("IM*")))
+    (header,), _ = read_image_headers(next(tmp_path.glob("IM*")))
     assert header is not None
     numbers, _ = pixels._decoded_pixels(header)
     np.testing.assert_array_equal(numbers, theirs[0])

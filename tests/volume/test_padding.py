@@ -10,7 +10,7 @@ from grid_writers import nifti
 from pydicom.dataset import Dataset
 
 from carina.volume import Volume, open_volume
-from carina.volume.dicom_headers import read_header
+from carina.volume.dicom_headers import read_image_headers
 from carina.volume.dicom_modality_lut import read_modality_lut
 from carina.volume.dicom_pixels import decode_slice
 from carina.volume.padding import find_padding, padding_ranges, without_corner_padding
@@ -185,8 +185,8 @@ def test_lookup_table_that_repeats_the_rescale_is_accepted(tmp_path):
         dataset.ModalityLUTSequence, dataset.RescaleIntercept = [item], 0
 
     series(tmp_path, edit)
-    header, _ = read_header(tmp_path / "IM003")
+    (header,), _ = read_image_headers(tmp_path / "IM003")
     assert header is not None
     assert decode_slice(header).doubts == ()
-    (doubt,) = decode_slice(read_header(with_lut(rescale=True)(tmp_path / "b") / "IM003")[0]).doubts
+    (doubt,) = decode_slice(read_image_headers(with_lut(rescale=True)(tmp_path / "b") / "IM003")[0][0]).doubts
     assert doubt.code == "import.modality-lut"

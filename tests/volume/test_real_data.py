@@ -117,7 +117,7 @@ def test_each_unusual_dicom_file_gives_a_volume_or_a_refusal(data_dir, every):
     series = sorted((data_dir / "odd" / "dicom" / "totalseg_example_ct_dicom_j2k").iterdir())
     left_out = {path for n, path in enumerate(series) if n % every}
     paths = [path for path in sorted((data_dir / "odd" / "dicom").rglob("*")) if path not in left_out]
-    outcomes = {path.name: _outcome(path) for path in paths}
+    outcomes = {path: _outcome(path) for path in paths}
     assert all(outcome.startswith(("Volume(", "import.")) for outcome in outcomes.values())
     assert len(series) == 20
     # The JPEG 2000 series and the tilted series give a volume: their folders (1 and 4), and

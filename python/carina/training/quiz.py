@@ -82,6 +82,8 @@ def quiz_questions(
     >>> questions = quiz_questions(airways.tree, wall, "name-opening", num=3)  # doctest: +SKIP
     >>> questions[0].choices  # doctest: +SKIP
     ('RB9', 'RB6', 'RB10', 'RB8')
+    >>> NUM_CHOICES
+    4
     """
     rng = random.Random(seed)
     segments = [

@@ -279,6 +279,11 @@ class FlightScorer:
         self._openings = _Openings(tree, wall, task, segments)
         self._known: OpeningSights | None = None
 
+    def __repr__(self) -> str:
+        """Return the name of the task and the number of frames whose openings are known."""
+        known = 0 if self._known is None else len(self._known.in_sight)
+        return f"FlightScorer({self._task.name!r}, {known} frames)"
+
     def score(self, frames: FlightFrames, *, progress: ProgressChoice = None) -> Score:
         """Score the frames of a flight.
 
