@@ -324,6 +324,7 @@ def cast(
     decoration: Decoration | None = None,
     always_leap: bool = False,
     bricks: Bricks | None = None,
+    prefetch: bool = False,
 ) -> tuple[NDArray[np.uint8], tuple[int, int, int, int, int, int, int]]:
     """Cast rows of a picture; return (rows, width, 3) colours and statistics.
 

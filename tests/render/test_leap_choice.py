@@ -1,4 +1,4 @@
-"""Choice between leaps over equal values and brute force, with given costs in place of measured times."""
+"""Choices of the fastest way to cast over equal values, with given costs in place of measured times."""
 
 from __future__ import annotations
 
@@ -14,9 +14,12 @@ from carina.render.leap_choice import (
     MIN_GAIN,
     MORE_ROUNDS,
     PICTURES_BETWEEN,
+    PREFETCH_RETRY,
+    PREFETCH_TRIALS,
     ROUNDS,
     STRIPS,
     LeapChoice,
+    PrefetchChoice,
     is_faster,
 )
 from carina.render.scene import ValueMaps
@@ -160,6 +163,17 @@ def test_automatic_picture_is_that_of_the_chosen_method_also_in_strips(airway, p
     assert paper_renderer.with_chosen_method(automatic).method == forced.method
 
 
+def test_pictures_with_and_without_prefetching_are_equal(airway, paper_renderer, monkeypatch):
+    view = AirwayView(airway.pose, width=96, height=64, method="leap-always")
+    choices = iter([False, True])
+    monkeypatch.setattr(PrefetchChoice, "prefetches", lambda *_args, **_named: next(choices))
+    without, with_prefetching = paper_renderer.render(view), paper_renderer.render(view)
+    np.testing.assert_array_equal(with_prefetching.rgb, without.rgb)
+    assert with_prefetching.stats.num_leaps == without.stats.num_leaps > 0
+    assert with_prefetching.stats.num_samples == without.stats.num_samples
+    assert next(choices, None) is None
+
+
 def test_automatic_leaping_and_brute_pictures_differ_by_at_most_one_level(airway, paper_renderer):
     pictures = [
         paper_renderer.render(AirwayView(airway.pose, width=96, height=64, method=method)).rgb.astype(int)
@@ -177,3 +191,48 @@ def test_picture_with_depth_of_field_is_that_of_a_method(airway, paper_renderer)
     automatic = paper_renderer.render(blurred)
     methods = [dataclasses.replace(blurred, method=method) for method in ("leap-always", "brute")]
     assert any(np.array_equal(automatic.rgb, paper_renderer.render(view).rgb) for view in methods)
+
+
+def prefetched_pictures(choice, maps, costs, num, pose=None):
+    """Return for each picture whether it prefetches; ``costs`` are those without and with prefetching."""
+    ways = []
+    for _ in range(num):
+        way = choice.prefetches(maps, view_at().pose if pose is None else pose, diagonal_mm=DIAGONAL_MM)
+        choice.add(maps, prefetched=way, cost=costs[way])
+        ways.append(way)
+    return ways
+
+
+@pytest.mark.parametrize("with_prefetching", [0.5, 0.999 - MIN_GAIN, 1.001 - MIN_GAIN, 1.0, 2.0])
+def test_leaps_prefetch_if_the_first_pictures_were_faster_with_it(scene, with_prefetching):
+    ways = prefetched_pictures(PrefetchChoice(), scene[0], (1.0, with_prefetching), PREFETCH_RETRY)
+    assert ways[:PREFETCH_TRIALS] == [False, True] * (PREFETCH_TRIALS // 2)
+    assert set(ways[PREFETCH_TRIALS:]) == {with_prefetching < 1.0 - MIN_GAIN}
+
+
+def test_the_other_way_is_tried_again_and_taken_once_it_is_faster(scene):
+    choice = PrefetchChoice()
+    prefetched_pictures(choice, scene[0], (1.0, 0.5), PREFETCH_RETRY)
+    ways = prefetched_pictures(choice, scene[0], (0.2, 0.5), PREFETCH_RETRY)
+    assert not any(ways)
+    ways = prefetched_pictures(choice, scene[0], (0.2, 0.1), PREFETCH_RETRY)
+    assert all(ways)
+
+
+def test_a_far_view_and_other_maps_are_tried_anew(scene):
+    choice, maps = PrefetchChoice(), scene[0]
+    prefetched_pictures(choice, maps, (1.0, 0.5), PREFETCH_TRIALS + 1)
+    near = view_at(0.05 * DIAGONAL_MM).pose
+    assert prefetched_pictures(choice, maps, (1.0, 0.5), 1, near) == [True]
+    far = view_at(0.5 * DIAGONAL_MM).pose
+    trials = [False, True] * (PREFETCH_TRIALS // 2)
+    assert prefetched_pictures(choice, maps, (1.0, 2.0), PREFETCH_TRIALS + 1, far) == [*trials, False]
+    other = dataclasses.replace(maps)
+    assert prefetched_pictures(choice, other, (1.0, 0.5), PREFETCH_TRIALS + 1, far) == [*trials, True]
+
+
+def test_late_time_of_former_maps_is_ignored(scene):
+    choice, maps = PrefetchChoice(), scene[0]
+    prefetched_pictures(choice, maps, (1.0, 0.5), PREFETCH_TRIALS)
+    choice.add(dataclasses.replace(maps), prefetched=True, cost=9.0)
+    assert prefetched_pictures(choice, maps, (1.0, 0.5), 1) == [True]

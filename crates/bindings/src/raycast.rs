@@ -360,7 +360,7 @@ const fn interpolation(nearest: bool) -> Interpolation {
 #[pyo3(signature = (
     hu_zyx, lps_from_ijk, table, lps_from_camera, *, fov_rad, width, height, rows=None, light=None, nearest=false,
     background=[0.0; 3], leap=None, simd=None, stop=None, lens=None, darken=true, gpu=None,
-    stop_transparency=None, appearance=None, always_leap=false, bricks=None, decoration=None
+    stop_transparency=None, appearance=None, always_leap=false, bricks=None, decoration=None, prefetch=false
 ))]
 fn cast<'py>(
     py: Python<'py>,
@@ -386,6 +386,7 @@ fn cast<'py>(
     always_leap: bool,
     bricks: Option<Bound<'py, Bricks>>,
     decoration: Option<PyDecoration<'py>>,
+    prefetch: bool,
 ) -> PyResult<(Bound<'py, PyArray3<u8>>, PyStats)> {
     let grid = grid(&hu_zyx, &lps_from_ijk)?;
     let volume = VolumeView::new(values("hu_zyx", &hu_zyx)?, &grid).map_err(IntoPy::into_py)?;
@@ -433,6 +434,7 @@ fn cast<'py>(
             Method::LeapValues(ValueMap {
                 words: values("words_zyx", words)?,
                 segments: &segments,
+                prefetch,
             })
         }
         Some(LeapMap::Classes(labels, radius, class_values)) => {

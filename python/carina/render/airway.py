@@ -13,7 +13,7 @@ from carina import _core
 from carina.errors import RenderError
 from carina.render.appearance import FROM_TREE, Appearance, DecorationName
 from carina.render.graphics_device import DeviceCaster
-from carina.render.leap_choice import LeapChoice, processor_time_of
+from carina.render.leap_choice import LeapChoice, PrefetchChoice, processor_time_of, timed
 from carina.render.processor_choice import Backend
 from carina.render.scene import Scene, ValueMaps
 from carina.render.surface import Hit, Surface
@@ -37,6 +37,7 @@ class AirwayCaster:
         )
         self._swap = threading.Lock()
         self._choice = LeapChoice()
+        self._prefetching = PrefetchChoice()
         self._diagonal_mm = float(np.linalg.norm(np.array(volume.shape_zyx[::-1]) * volume.spacing_mm))
         self._bricks: tuple[NDArray[np.int16], _core.Bricks] | None = None
         self._tables: dict[tuple[int, int, float, int], tuple[TransferFunction, _core.TransferTable]] = {}
@@ -53,7 +54,9 @@ class AirwayCaster:
 
         def cast(scene: Scene, view: AirwayView, gpu: _core.GpuScene | None) -> Picture:
             leaps = None if gpu is not None else self.leaps_are_faster(scene, view)
-            return self._cast(scene, view, rows=rows, stop=stop, gpu=gpu, leaps=leaps)
+            if method != "leap-all" or leaps is False or not isinstance(scene.class_maps, ValueMaps):
+                return self._cast(scene, view, rows=rows, stop=stop, gpu=gpu, leaps=leaps)
+            return self._cast_over_values(scene, view, scene.class_maps, rows=rows, stop=stop, leaps=leaps)
 
         method, _ = _choose_method(scene, view, _needs_shading(scene, view))
         # Method "leap-all" (leaps over all classes) exists on the CPU only.
@@ -80,9 +83,32 @@ class AirwayCaster:
         def cost_of(rows: tuple[int, int], leaps: bool) -> float:
             # Depth of field is added to the whole picture after the cast, so it does not affect the choice.
             sharp = dataclasses.replace(view, depth_of_field=None)
-            return processor_time_of(lambda: self._cast(scene, sharp, rows=rows, leaps=leaps))
+
+            def cost(prefetch: bool) -> float:
+                return processor_time_of(lambda: self._cast(scene, sharp, rows=rows, leaps=leaps, prefetch=prefetch))
+
+            # Leaping pictures prefetch where that is faster, so the faster of both counts as the cost of leaps.
+            return min(cost(False), cost(True)) if leaps else cost(False)
 
         return self._choice.leaps((maps, scene.transfer), view, cost_of, diagonal_mm=self._diagonal_mm)
+
+    def _cast_over_values(
+        self,
+        scene: Scene,
+        view: AirwayView,
+        maps: ValueMaps,
+        *,
+        rows: tuple[int, int] | None,
+        stop: _core.CancelToken | None,
+        leaps: bool | None,
+    ) -> Picture:
+        """Cast a picture with leaps over equal values, with prefetching where it was faster in the last pictures."""
+        prefetch = self._prefetching.prefetches(maps, view.pose, diagonal_mm=self._diagonal_mm)
+        picture, cost_s = timed(lambda: self._cast(scene, view, rows=rows, stop=stop, leaps=leaps, prefetch=prefetch))
+        num_steps = picture.stats.num_leaps + picture.stats.num_samples
+        if num_steps > 0:
+            self._prefetching.add(maps, prefetched=prefetch, cost=cost_s / num_steps)
+        return picture
 
     def _cast(
         self,
@@ -93,8 +119,12 @@ class AirwayCaster:
         stop: _core.CancelToken | None = None,
         gpu: _core.GpuScene | None = None,
         leaps: bool | None = None,
+        prefetch: bool = False,
     ) -> Picture:
-        """Cast a picture; ``leaps`` selects leaps or brute force, None lets trial rays decide."""
+        """Cast a picture; ``leaps`` selects leaps or brute force, None lets trial rays decide.
+
+        ``prefetch`` changes only the time of leaps over equal values.
+        """
         nearest = scene.transfer.sampling == "nearest"
         step_vox = 1.0 if nearest else view.step_vox
         shading = _needs_shading(scene, view)
@@ -124,6 +154,7 @@ class AirwayCaster:
             gpu=gpu,
             stop_transparency=view.stop_transparency,
             always_leap=leaps is True or view.method == "leap-always",
+            prefetch=prefetch,
             bricks=self._shared_bricks(scene),
         )
         method = method if gpu is None else f"gpu-{method}"

@@ -1,4 +1,4 @@
-"""Choice between leaps over equal values and brute force, by the times of both in the view."""
+"""Choices of the fastest way to cast over equal values: leaps or brute force, and leaps with or without prefetching."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import math
 import threading
 import time
 from collections.abc import Callable
+from typing import TypeVar
 
 import numpy as np
 
@@ -17,7 +18,7 @@ from carina.scopes import Pose
 
 MIN_PIXELS = 64 * 64
 """Number of pixels below which a measurement takes longer than it saves; the trial rays decide there."""
-PICTURES_BETWEEN = 16
+PICTURES_BETWEEN = 32
 """Number of pictures along a flight for which one measurement serves."""
 NEAR_TURN_RAD = 0.25
 """Turn of the camera beyond which a measurement does not serve."""
@@ -37,7 +38,12 @@ MIN_GAIN = 0.02
 """Share of the cost of brute force that leaps must save; a smaller gain is within the error of a measurement."""
 MAX_VIEWS = 64
 """Number of views whose choice is stored."""
+PREFETCH_TRIALS = 4
+"""Number of pictures, alternately without and with prefetching, whose times decide."""
+PREFETCH_RETRY = 32
+"""Number of pictures after which the other way is timed in one picture again."""
 
+Result = TypeVar("Result")
 CostOf = Callable[[tuple[int, int], bool], float]
 """Function that returns the cost of rows with leaps (True) or by brute force (False)."""
 
@@ -87,16 +93,55 @@ class LeapChoice:
         """Return whether the last measurement serves for a pose."""
         if self._measured is None or self._pictures >= PICTURES_BETWEEN:
             return False
-        before, now = self._measured.lps_from_camera, pose.lps_from_camera
-        moved_mm = float(np.linalg.norm(now[:3, 3] - before[:3, 3]))
-        turned_rad = float(np.arccos(np.clip(now[:3, 2] @ before[:3, 2], -1.0, 1.0)))
-        return moved_mm <= NEAR_SHARE * diagonal_mm and turned_rad <= NEAR_TURN_RAD
+        return _are_near(self._measured, pose, diagonal_mm)
 
     def _choose(self, key: bytes, leaps: bool) -> bool:
         """Store the choice for a view unless another thread has stored one, and return the stored choice."""
         if len(self._chosen) >= MAX_VIEWS:
             del self._chosen[next(iter(self._chosen))]
         return self._chosen.setdefault(key, leaps)
+
+
+class PrefetchChoice:
+    """Choice whether leaps over equal values prefetch their next reads, by the times of earlier pictures.
+
+    The address of a ray's next read depends on its last read. Prefetching casts other rays while a read is on its way:
+    it saves time where the map comes from memory, and costs time where the map is in the cache of the core. Both ways
+    give the same picture, bit for bit, so each picture can choose anew, and no measurement is needed beside the
+    pictures. Times of single strips could not decide, because the cache holds their part of the map.
+    """
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._maps: ValueMaps | None = None
+        self._first: Pose | None = None
+        self._num_pictures = 0
+        self._cost = {False: math.inf, True: math.inf}
+
+    def prefetches(self, maps: ValueMaps, pose: Pose, *, diagonal_mm: float) -> bool:
+        """Return whether the next picture prefetches; ``diagonal_mm`` is the length of the volume's diagonal."""
+        with self._lock:
+            if self._maps is not maps or self._first is None or not _are_near(self._first, pose, diagonal_mm):
+                self._maps, self._first, self._num_pictures = maps, pose, 0
+            number = self._num_pictures
+            self._num_pictures += 1
+            if number < PREFETCH_TRIALS:
+                return number % 2 == 1
+            saves = self._cost[True] < (1.0 - MIN_GAIN) * self._cost[False]
+            return not saves if number % PREFETCH_RETRY == 0 else saves
+
+    def add(self, maps: ValueMaps, *, prefetched: bool, cost: float) -> None:
+        """Store the cost of one step of a ray in a picture that was cast with or without prefetching."""
+        with self._lock:
+            if self._maps is maps:
+                self._cost[prefetched] = cost
+
+
+def _are_near(before: Pose, now: Pose, diagonal_mm: float) -> bool:
+    """Return whether a measurement at one pose serves for another."""
+    moved_mm = float(np.linalg.norm(now.lps_from_camera[:3, 3] - before.lps_from_camera[:3, 3]))
+    turned_rad = float(np.arccos(np.clip(now.lps_from_camera[:3, 2] @ before.lps_from_camera[:3, 2], -1.0, 1.0)))
+    return moved_mm <= NEAR_SHARE * diagonal_mm and turned_rad <= NEAR_TURN_RAD
 
 
 def is_faster(height: int, cost_of: CostOf) -> bool:
@@ -124,13 +169,18 @@ def is_faster(height: int, cost_of: CostOf) -> bool:
 
 
 def processor_time_of(cast: Callable[[], object]) -> float:
-    """Return the processor time of a cast in all its threads, s; the wall time if no thread has a fine clock.
+    """Return the processor time of a cast in all its threads, s; the wall time if no thread has a fine clock."""
+    return timed(cast)[1]
+
+
+def timed(cast: Callable[[], Result]) -> tuple[Result, float]:
+    """Return the result of a cast, and its processor time in all threads, s; the wall time without a fine clock.
 
     The calling thread casts a single band of rows itself, without the picture threads.
     """
     pool, own, wall = _core.picture_clock_s(), time.thread_time(), time.perf_counter()
-    cast()
+    result = cast()
     wall, own, pool_after = time.perf_counter() - wall, time.thread_time() - own, _core.picture_clock_s()
     if pool is not None and pool_after is not None and pool_after > pool:
         own += (pool_after - pool) * _core.picture_threads()
-    return own if own > 0.0 else wall
+    return result, own if own > 0.0 else wall

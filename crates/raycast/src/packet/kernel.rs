@@ -13,7 +13,7 @@ use super::{
     map_lookup::Pace,
     out::Out,
     pool::{Packet, Pool},
-    scene::{BRUTE, CLASSES, Scene, TRANSPARENT, VALUES},
+    scene::{BRUTE, CLASSES, Scene, TRANSPARENT, VALUES, VALUES_PREFETCHED},
     source::Source,
 };
 use crate::CastStats;
@@ -78,7 +78,11 @@ impl Scene<'_> {
             out,
         };
         loop {
-            self.search::<L, S, O, NEAREST, LEAP, STAGED>(l, &mut band);
+            if LEAP == VALUES_PREFETCHED {
+                self.search_alternately(l, &mut band);
+            } else {
+                self.search::<L, S, O, NEAREST, LEAP, STAGED>(l, &mut band);
+            }
             if band.shading.is_empty() && band.shade.occupied == 0 {
                 break;
             }
@@ -198,6 +202,64 @@ impl Scene<'_> {
             }
         }
         band.search = packet;
+    }
+
+    /// Cast all rays with leaps over values, in two packets that alternate.
+    ///
+    /// The address of a ray's next word depends on its last word, so the reads of one packet cannot overlap. Each packet
+    /// therefore prefetches its next words and takes its step after the other packet.
+    #[inline(always)]
+    fn search_alternately<L: Lanes, S: Lanes, O: Out>(&self, l: L, band: &mut Band<L, S, O>) {
+        let mut packets = [band.search, Packet::empty(l)];
+        // Closures would be compiled without the instruction set.
+        let mut pace = [Pace::of(l, &packets[0].delta); 2];
+        let mut next = [self.next_word(l, &packets[0]); 2];
+        let mut active = [packets[0].occupied, 0];
+        let mut ended = [false; 2];
+        while !(ended[0] && ended[1]) {
+            for n in 0..2 {
+                if ended[n] {
+                    continue;
+                }
+                let packet = &mut packets[n];
+                if L::N - active[n].count_ones() as usize >= L::N / 2 {
+                    let finished = packet.occupied & !active[n];
+                    if finished != 0 {
+                        band.finish(l, packet, finished);
+                    }
+                    if band.searching.is_empty() && !band.source.is_empty() {
+                        let Band {
+                            source,
+                            searching,
+                            out,
+                            ..
+                        } = band;
+                        source.set_up(self.frame, self.start, searching, out);
+                    }
+                    if !band.searching.is_empty() {
+                        band.searching.give_to(l, packet, O::HITS);
+                        pace[n] = Pace::of(l, &packet.delta);
+                    }
+                    active[n] = packet.occupied & l.bits(l.less_i(packet.k, packet.end));
+                    if active[n] == 0 {
+                        ended[n] = packet.occupied == 0;
+                        continue;
+                    }
+                    next[n] = self.next_word(l, packet);
+                }
+                active[n] &= self.step_from_word::<L, O>(
+                    l,
+                    packet,
+                    &pace[n],
+                    active[n],
+                    next[n],
+                    &mut band.stats,
+                );
+                next[n] = self.next_word(l, packet);
+                self.prefetch_words(l, &next[n]);
+            }
+        }
+        band.search = packets[0];
     }
 
     /// Run the shade stage: visible samples, until no ray waits for shading and few are left in the lanes.

@@ -48,6 +48,27 @@ impl<L: Lanes> Pace<L> {
     }
 }
 
+/// Position of the next sample in voxels, its nearest voxel, and the voxel's index in the map, for each lane.
+#[derive(Clone, Copy)]
+pub(super) struct NextWord<L: Lanes> {
+    p: [L::F; 3],
+    v: [L::F; 3],
+    index: L::I,
+}
+
+/// Fetch the cache line of a word; no operation on processors for which Rust has no stable intrinsic.
+#[inline(always)]
+fn prefetch(word: *const u16) {
+    #[cfg(target_arch = "x86_64")]
+    // SAFETY: a prefetch does not access memory as a read does; an invalid address has no effect. Benchmark:
+    // benchmarks/measurements/rendering.md.
+    unsafe {
+        core::arch::x86_64::_mm_prefetch::<{ core::arch::x86_64::_MM_HINT_T0 }>(word.cast());
+    }
+    #[cfg(not(target_arch = "x86_64"))]
+    let _ = word;
+}
+
 impl Scene<'_> {
     /// Look up the map in the lanes `looked_up`; return the lanes that have leaped.
     ///
@@ -204,8 +225,39 @@ impl Scene<'_> {
         walks: u32,
         stats: &mut CastStats,
     ) -> u32 {
+        let next = self.next_word(l, packet);
+        self.step_from_word::<L, O>(l, packet, pace, walks, next, stats)
+    }
+
+    /// Return the place of the next word of each lane.
+    #[inline(always)]
+    pub(super) fn next_word<L: Lanes>(&self, l: L, packet: &Packet<L>) -> NextWord<L> {
         let p = packet.at(l, packet.k, self.frame.origin3());
         let (index, v) = self.voxels.nearest(l, p);
+        NextWord { p, v, index }
+    }
+
+    /// Fetch the words of all lanes into the cache, without a wait.
+    #[inline(always)]
+    pub(super) fn prefetch_words<L: Lanes>(&self, l: L, next: &NextWord<L>) {
+        let index = l.store_i(next.index);
+        for &word in &index[..L::N] {
+            prefetch(self.words.as_ptr().wrapping_add(word as usize));
+        }
+    }
+
+    /// Take the step of `step_over_values` with words whose places are known.
+    #[inline(always)]
+    pub(super) fn step_from_word<L: Lanes, O: Out>(
+        &self,
+        l: L,
+        packet: &mut Packet<L>,
+        pace: &Pace<L>,
+        walks: u32,
+        next: NextWord<L>,
+        stats: &mut CastStats,
+    ) -> u32 {
+        let NextWord { p, v, index } = next;
         // SAFETY: the map has as many words as the volume has voxels, and `nearest` clamps the index to them in all
         // lanes. Benchmark: benchmarks/measurements/rendering.md.
         let word = unsafe { l.voxels(self.words.as_ptr().cast(), index) };

@@ -48,7 +48,7 @@ use out::{Out, Rgb8, Walls};
 #[cfg(target_arch = "x86_64")]
 use pair::Pair;
 pub(crate) use plane::{PlaneTiles, TILE_ROWS};
-use scene::{BRUTE, CLASSES, Scene, TRANSPARENT, VALUES};
+use scene::{BRUTE, CLASSES, Scene, TRANSPARENT, VALUES, VALUES_PREFETCHED};
 pub(crate) use source::BAND_ROWS;
 use source::Source;
 use voxels::Voxels;
@@ -99,7 +99,11 @@ impl<'a> Packets<'a> {
             Method::LeapClasses(map) if map.segments.entries().is_empty() => return None,
             Method::LeapClasses(map) => (CLASSES, map, class_margin(frame), 2),
             Method::LeapValues(map) => (
-                VALUES,
+                if map.prefetch {
+                    VALUES_PREFETCHED
+                } else {
+                    VALUES
+                },
                 ClassMap {
                     segments: map.segments,
                     ..none
@@ -226,6 +230,9 @@ impl<'a> Packets<'a> {
             }
             (false, true, TRANSPARENT) => {
                 scene.cast::<L, S, O, false, true, TRANSPARENT, false>(l, source, out)
+            }
+            (false, true, VALUES_PREFETCHED) => {
+                scene.cast::<L, S, O, false, true, VALUES_PREFETCHED, false>(l, source, out)
             }
             (false, true, _) => scene.cast::<L, S, O, false, true, VALUES, false>(l, source, out),
         }

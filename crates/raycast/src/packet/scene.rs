@@ -16,6 +16,8 @@ pub(super) const TRANSPARENT: u8 = 1;
 pub(super) const CLASSES: u8 = 2;
 /// Casting of nearest-voxel samples with leaps over equal values; the step table gives the colour of a leap.
 pub(super) const VALUES: u8 = 3;
+/// As [`VALUES`]; two packets alternate, and each prefetches its next words while the other is cast.
+pub(super) const VALUES_PREFETCHED: u8 = 4;
 
 /// Parameters that all packets of a picture share.
 #[derive(Clone, Copy)]

@@ -76,7 +76,7 @@ proptest! {
         let segments = step_table(class_colours(&table, &out.classes));
         let words = words(&out.labels, &radius);
         let method = if nearest {
-            Method::LeapValues(ValueMap { words: &words, segments: &segments })
+            Method::LeapValues(ValueMap { words: &words, segments: &segments, prefetch: false })
         } else {
             Method::LeapClasses(ClassMap { labels: &out.labels, radius: &radius, segments: &segments })
         };

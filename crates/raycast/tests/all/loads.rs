@@ -202,6 +202,7 @@ fn stats(view: &View, reading: Reading, classes: bool) -> (CastStats, CastStats)
         Method::LeapValues(ValueMap {
             words: &words,
             segments: &segments,
+            prefetch: false,
         })
     } else if classes {
         Method::LeapClasses(ClassMap {

@@ -88,15 +88,25 @@ fn cast(scene: &Scene, maps: &Maps, case: &Case) -> (Cast, Vec<(InstructionSet, 
         Kind::Values => Method::LeapValues(ValueMap {
             words: &words,
             segments: &segments,
+            prefetch: false,
         }),
     };
     let best = InstructionSet::best();
     let truth = cast_rows_scalar(&frame, method, case.rows.clone(), best).unwrap();
     let found = InstructionSet::available()
         .into_iter()
-        .map(|simd| {
-            let out = cast_rows(&frame, method, case.rows.clone(), simd).unwrap();
-            (simd, out)
+        .flat_map(|simd| {
+            let prefetched = match method {
+                Method::LeapValues(map) => Method::LeapValues(ValueMap {
+                    prefetch: true,
+                    ..map
+                }),
+                _ => method,
+            };
+            [method, prefetched].map(|method| {
+                let out = cast_rows(&frame, method, case.rows.clone(), simd).unwrap();
+                (simd, out)
+            })
         })
         .collect();
     (truth, found)

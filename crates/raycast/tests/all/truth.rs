@@ -267,6 +267,7 @@ fn leaps_over_opaque_classes(num_poses: u64, seed: u64, nearest: bool) -> (Tally
                     Method::LeapValues(ValueMap {
                         words: &words,
                         segments: &segments,
+                        prefetch: false,
                     })
                 } else {
                     Method::LeapClasses(ClassMap {
