@@ -162,6 +162,35 @@ def test_gap_beside_slices_on_another_grid_is_refused(tmp_path):
     assert refusal(series(tmp_path / "scan", other)).code == "import.geometry.mixed"
 
 
+@pytest.mark.parametrize(
+    ("keyword", "values", "name"),
+    [
+        ("ConvolutionKernel", ("B31f", "B70f"), "reconstruction kernel"),
+        ("NominalPercentageOfRespiratoryPhase", (0, 50), "respiratory phase"),
+        ("AcquisitionNumber", (1, 2), "acquisition number"),
+    ],
+)
+def test_gap_between_two_reconstructions_is_refused(tmp_path, keyword, values, name):
+    def change_at(first_changed):
+        def change(dataset: Dataset, index: int) -> None:
+            setattr(dataset, keyword, values[index >= first_changed])
+
+        return change
+
+    error = refusal(without(series(tmp_path / "at-the-gap", change_at(8)), 7))
+    assert error.code == "import.geometry.irregular"
+    assert f"differ in {name}" in str(error)
+    elsewhere = open_volume(without(series(tmp_path / "elsewhere", change_at(12)), 7))
+    assert elsewhere.source.interpolated_slices == (7,)
+
+
+def test_gap_in_a_series_that_counts_its_slices_is_interpolated(tmp_path):
+    def count(dataset: Dataset, index: int) -> None:
+        dataset.AcquisitionNumber = index + 1
+
+    assert open_volume(without(series(tmp_path / "scan", count), 7)).source.interpolated_slices == (7,)
+
+
 def test_tilt_and_gap_are_corrected_together(tmp_path):
     tangent = float(np.tan(np.radians(10.0)))
     whole = open_volume(tilted_series(tmp_path / "whole", (0.0, tangent)))

@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 
 from carina.errors import VolumeImportError
 from carina.volume.axis_angles import MAX_LEAN_MM, MAX_SKEW_DEG
-from carina.volume.dicom_headers import SliceHeader
+from carina.volume.dicom_headers import SETTINGS, SliceHeader
 from carina.volume.digest import Geometry
 from carina.volume.missing_slices import fillable_levels, interpolated_note, missing_levels
 from carina.volume.model import Note
@@ -145,6 +145,8 @@ def _levels(
     levels: NDArray[np.int64] | None = np.arange(count)
     if wrong.size:
         levels, limit = fillable_levels(gaps, expected, 2 * tolerance)
+        if levels is not None and (setting := _setting_that_changes_at_a_gap(levels, ordered)):
+            levels, limit = None, f"the slices on both sides of the gap differ in {setting}, so it is not interpolated"
         if not fills_gaps:
             levels = None
     if levels is None:
@@ -173,6 +175,20 @@ def _levels(
         )
         raise _refuse(what, problem, "choose another series", "import.geometry.irregular")
     return levels
+
+
+def _setting_that_changes_at_a_gap(levels: NDArray[np.int64], ordered: Sequence[SliceHeader]) -> str:
+    """Return the name of a setting with different values on both sides of a gap; empty if there is none.
+
+    Such slices may come from different reconstructions or breaths, between which nothing can be interpolated. A setting
+    with a different value in nearly every slice (a time, a counter) does not separate them.
+    """
+    gaps = np.flatnonzero(np.diff(levels) > 1)
+    for number, name in enumerate(SETTINGS.values()):
+        values = [header.settings[number] for header in ordered]
+        if 2 * len(set(values)) <= len(values) and any(values[at] != values[at + 1] for at in gaps):
+            return name
+    return ""
 
 
 def grid_from_slices(slices: Sequence[SliceHeader], *, what: str, fills_gaps: bool = True) -> SliceStack:
