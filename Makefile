@@ -125,11 +125,18 @@ test-gpu: $(STAMP) ## the GPU caster and the wheel, on a software adapter where 
 	$(UV) pip install -q --python .venv-gpu/bin/python --no-deps target/gpu-wheel/*.whl
 	CARINA_GPU_REQUIRED=1 .venv-gpu/bin/python -m pytest -m gpu -ra tests
 
-soak: $(STAMP) $(CLUSTER_STAMP) $(HAPTICS_STAMP) ## what runs for minutes: 20,000 poses against the f64 ray caster, 10,000 sequences of edits, 2,000 drives of the scope, a cluster that loses members
+# JupyterLab has an environment of its own: only one test of `make soak` needs its hundred packages.
+NOTEBOOK_STAMP := .venv-notebook/.carina-notebook
+$(NOTEBOOK_STAMP):
+	test -x .venv-notebook/bin/python || $(UV) venv -q .venv-notebook
+	$(UV) pip install -q --python .venv-notebook/bin/python "jupyterlab>=4" "anywidget>=0.9"
+	@touch $@
+
+soak: $(STAMP) $(CLUSTER_STAMP) $(HAPTICS_STAMP) $(NOTEBOOK_STAMP) ## what runs for minutes: 20,000 poses against the f64 ray caster, 10,000 sequences of edits, 2,000 drives of the scope, a cluster that loses members
 	PROPTEST_CASES=2000 cargo test --profile checked -p carina-airpath --lib section
 	cargo test $(ALL_CRATES) -- --include-ignored
 	cargo clippy --profile checked -p carina-bindings -p carina-gpu --features carina-bindings/gpu,carina-gpu/wgpu -- -D warnings
-	$(PY) -m pytest -m soak -ra -o faulthandler_timeout=0
+	CARINA_JUPYTER=.venv-notebook/bin/jupyter $(PY) -m pytest -m soak -ra -o faulthandler_timeout=0
 
 check: check-rust check-python check-web docs ## formatting, lints, types, layers, kernels, lock file, spelling, licences, advisories, documentation
 

@@ -48,10 +48,9 @@ Files (``carina.export``)
     write_film          Write a flight as a video
 
 Cases (``carina.session``, ``carina.commands``, ``carina.case``)
-    Case                An open case with undo, history and pictures
+    Case, show          An open case with undo, history and pictures; linked views of it in a notebook
 
-Rendering on several machines (``carina.cluster``)
-    See ``help("carina.cluster")``
+Rendering on several machines: see ``help("carina.cluster")``
 
 Errors (``carina.errors``)
     CarinaError         Base of all errors; each has a stable code

@@ -6,6 +6,7 @@ from . import commands as commands
 from . import errors as errors
 from . import export as export
 from . import navigate as navigate
+from . import notebook as notebook
 from . import phantom as phantom
 from . import plan as plan
 from . import render as render
@@ -32,6 +33,9 @@ from .mr_phantom import (
 from .navigate import (
     FlightPath as FlightPath,
     Navigator as Navigator,
+)
+from .notebook import (
+    show as show,
 )
 from .phantom import (
     generate_phantom as generate_phantom,

@@ -26,6 +26,7 @@ EXTRAS: Mapping[str, tuple[str, ...]] = MappingProxyType(
         "video": ("av>=14",),
         "report": ("reportlab>=4.2",),
         "cluster": ("ray>=2.60,<2.61",),
+        "notebook": ("anywidget>=0.9",),
         "bench": ("vtk>=9.4", "numba>=0.61", "scipy>=1.14", "dijkstra3d>=1.15", "scikit-image>=0.24"),
     }
 )

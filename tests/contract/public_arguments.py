@@ -270,6 +270,7 @@ GOOD: dict[str, Good] = {
     "score_recording": Good(
         lambda t: {"volume": t.volume, "airways": t.airways, "recording": t.recording, "wall": t.wall}
     ),
+    "show": Good(lambda t: {"source": t.case}),
     "track_paths": Good(lambda t: {"volume": t.volume, "targets": [t.tip.tip_lps], "airways": t.airways}),
     "transfer_preset": Good(lambda _: {"name": "endoscopic"}),
     "wall_field": Good(lambda t: {"volume": t.volume, "airways": t.airways, "spacing_mm": 0.6}),

@@ -9,6 +9,8 @@ import pytest
 from public_arguments import GOOD, Things, called, public_calls
 from wrong_values import NEVER_VALID, SELDOM_VALID, call_problem, must_be_refused, not_finite
 
+import fake_anywidget
+
 CALLS = list(dict.fromkeys(public_calls()))
 SLOW = {"find_airways", "plan_route", "edit_airways", "wall_field", "Case.open", "track_paths"}
 """Functions whose successful calls take about a second.
@@ -27,6 +29,11 @@ def things(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Things]:
     made = Things(tmp_path_factory.mktemp("things"))
     yield made
     made.close()
+
+
+@pytest.fixture(autouse=True)
+def anywidget(monkeypatch: pytest.MonkeyPatch) -> None:
+    fake_anywidget.install(monkeypatch)
 
 
 def test_table_of_valid_arguments_contains_every_public_function() -> None:
