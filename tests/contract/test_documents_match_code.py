@@ -144,6 +144,19 @@ def test_tables_of_the_wire_documentation_contain_exactly_the_messages_of_the_co
     assert stated == known
 
 
+def test_fields_in_the_tables_of_the_wire_documentation_exist() -> None:
+    sent = {**wire.CLIENT_MESSAGES, **wire.PHONE_MESSAGES, **wire.JOIN_MESSAGES}
+    received = {**wire.SERVER_MESSAGES, **wire.TO_PHONE_MESSAGES, **wire.TO_JOIN_MESSAGES}
+    # The table of changes by version, which precedes this heading, contains earlier names.
+    present = PROTOCOL.partition("## Text messages")[2]
+    stated = re.findall(r"`([a-z_]+) \{((?:[^`{}]|\{[^`{}]*\})*)\}`", present)
+    assert len(stated) > 60
+    for name, fields in stated:
+        names = set(re.findall(r"[a-z_0-9]+", re.sub(r":\[[^]]*\]|\\?\|null", "", fields)))
+        known = [set(group[name].__struct_fields__) for group in (sent, received) if name in group]
+        assert any(names <= one for one in known), f"{name} {names}"
+
+
 def test_error_codes_in_the_contract_page_exist_in_the_code() -> None:
     source = all_source()
     for code in re.findall(r"`((?:import|track|plan|session)\.[a-z]+-[a-z-]+|case\.no-[a-z]+)`", CONTRACTS):
