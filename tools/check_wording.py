@@ -55,7 +55,7 @@ TOKENS = {
         r"((un)?signed )?(char|short|int|long( long)?)( int)?|space (directions|origin|units)|(data|line|byte|old) \w+"
     ),
 }
-"""Pattern by file of strings that contain two words but are no text for users: terms of a file format, sources."""
+"""Pattern by file of strings that contain two words but are not text for users: terms of a file format, sources."""
 NEVER = ROOT / "tools" / "wrong_words.toml"
 """File of the words that must not occur in texts for users."""
 RUST_ERROR = re.compile(r'#\[error\(\s*"((?:[^"\\]|\\.)*)"', re.DOTALL)
@@ -207,7 +207,7 @@ class Texts:
         return list(dict.fromkeys(filter(None, found))) if is_written else None
 
     def literals(self, *nodes: ast.expr) -> list[str] | None:
-        """Return the texts of several string literals; None if one of the expressions is no literal."""
+        """Return the texts of several string literals; None if one of the expressions is not a literal."""
         used = set(self.used)
         texts = [self.literal(node) for node in nodes]
         found = [text for text in texts if text is not None]
@@ -369,7 +369,7 @@ class Reader(ast.NodeVisitor):
         if is_prose(text):
             self.keep(node, text)
         else:
-            # A concatenation is no f-string: its parts are collected separately.
+            # A concatenation is not an f-string: its parts are collected separately.
             self.used.intersection_update(used)
         for part in node.values:
             if isinstance(part, ast.FormattedValue):

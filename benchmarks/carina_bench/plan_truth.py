@@ -26,7 +26,7 @@ hit each target:
 
 - ``could`` (``--holds``, seconds for a target): the exhaustive geometric search of `carina_bench.plan_holds`, which
   shares no code with the plan, the drive or the mechanics. It ignores whether a drive leads to the hold.
-- ``laid`` (``--laid``, half a minute for a target): holds of the elastic model, laid to places of the true airways
+- ``laid`` (``--laid``, half a minute for a target): holds of the elastic model, at places of the true airways
   without a drive. It shares the scope's mechanics with the drive and misses poses that only a drive takes.
 
 A first route is ``accepted`` if the geometric search also finds such a hold with the tip near the end of the route's
@@ -73,9 +73,9 @@ SCOPE, TOOL = replace(scope_preset("ultrathin"), channel_mm=2.0), "needle-21g"
 HOLD_STEP_MM, NUM_ROLLS, LEVERS_DEG = 2.0, 12, (0.0, 30.0, 60.0, 90.0, 120.0, 160.0, 210.0)
 """Distance between two places, number of rolls and lever settings of the search over holds."""
 LAID_MM, NUM_FINER, FINER_DEG, NEARLY_DEG = 3.0, 3, (-20.0, -10.0, 0.0, 10.0, 20.0), 20.0
-"""Search near a place: distance within which the scope is laid, number of refined holds, and steps in degrees.
+"""Search near a place: largest distance of the inserted tip, number of refined positions, and steps in degrees.
 
-Holds of a place are refined if one points past the target's edge by less than the last angle.
+Positions at a place are refined if one of them points past the target's edge by less than the last angle.
 """
 NEAR_TIP_MM = 5.0
 """Distance in mm from the tip after a route's drive within which the geometric search must find a hold."""
@@ -220,9 +220,9 @@ def accepted(case: PlanCase, target: Target, plan: Plan) -> bool:
 
 
 def held(case: PlanCase, target: Target, scope: ScopePreset, reach_mm: float, wall: WallField) -> bool:
-    """Return whether a hold of the scope, laid to some place of the true airways, hits the true nodule.
+    """Return whether the needle hits the true nodule for any position of the scope in the true airways.
 
-    Places are `HOLD_STEP_MM` apart on all branches within reach that are wide enough.
+    The tested places are `HOLD_STEP_MM` apart on all branches within reach that are wide enough.
     """
     truth, centre = case.truth, np.array(target.centre_lps)
     for branch in range(len(truth.parents)):
@@ -247,7 +247,7 @@ def held(case: PlanCase, target: Target, scope: ScopePreset, reach_mm: float, wa
 
 
 def _holds_hit(drive: ScopeDrive, target: Target, reach_mm: float) -> bool:
-    """Return whether a roll and a lever setting of a laid scope hit a target; the best ones of a grid are refined."""
+    """Return whether a roll and a lever setting of an inserted scope hit a target; the best of a grid are refined."""
     insertion_mm, centre = drive.state.insertion_mm, np.array(target.centre_lps)
 
     def tip_at(roll_rad: float, lever_deg: float) -> Floats:

@@ -95,7 +95,7 @@ def _rows(judged: Sequence[Judged], what: str) -> Iterator[Row]:
 
 
 def _unlike_row(num: int) -> Row:
-    """Return the row of ``num`` trees that are no airway trees: random forks, and vessels."""
+    """Return the row of ``num`` trees that are not airway trees: random forks, and vessels."""
     trees = [random_tree(np.random.default_rng(seed), two_lungs=seed % 2 == 1) for seed in range(num)]
     for seed in range(max(num // 4, 1)):
         trees += [vessel_tree(true_tree(seed), np.random.default_rng(seed), is_vein=vein) for vein in (True, False)]

@@ -389,7 +389,7 @@ class Workstation:
         self.page.keyboard.up(key)
 
     def wait_still(self) -> None:
-        """Wait until the tip is at rest and the airway view answers its pose in full quality."""
+        """Wait until the tip is at rest and the airway view shows its pose in full quality."""
         self.settle()
         self.page.wait_for_function(
             """() => {

@@ -1,4 +1,4 @@
-"""Tests of absent lobes and segments: each has evidence in the CT, and a missed branch is no disease."""
+"""Tests of absent lobes and segments: each has evidence in the CT, and a missed branch does not count as a disease."""
 
 from __future__ import annotations
 

@@ -331,7 +331,7 @@ def test_noise_causes_stenoses_in_no_more_branches_than_their_error_allows(seed,
     assert np.mean([one is not None for one in found]) < 0.06
 
 
-def test_narrowing_that_an_unseen_fork_may_cause_is_no_stenosis():
+def test_narrowing_that_an_unseen_fork_may_cause_is_not_a_stenosis():
     at = np.arange(0.0, 30.0)
     one_fork = np.where(at < 20.0, 5.0, 5.0 * 2.0 ** (-1 / 3))
     measured = {"usable": np.ones(30, bool), "expected": None}

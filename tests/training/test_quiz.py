@@ -58,7 +58,7 @@ def test_right_answer_is_at_any_position_among_the_choices(chest):
     assert len(at) > 1
 
 
-def test_segments_with_uncertain_names_are_not_asked_for(chest):
+def test_segments_with_uncertain_names_occur_in_no_question(chest):
     asked = {one.answer for one in quiz_questions(chest.tree, chest.wall, "where-are-you", num=18)}
     doubtful = min(asked)
     branches = [

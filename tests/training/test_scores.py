@@ -500,7 +500,7 @@ def test_verdict_states_that_the_order_is_that_of_the_user(best_score):
     assert "over the recordings that you gave, in your order" in judge_mastery(attempts(best_score, *(100,) * 6)).words
 
 
-def test_17_progressions_are_no_mastery(best_score):
+def test_17_progressions_do_not_give_mastery(best_score):
     lower = [replace(one, structured_progress=17) for one in attempts(best_score, *(100,) * 6)]
     assert judge_mastery(lower).verdict is False
 

@@ -49,7 +49,7 @@ class Command(FrozenValue, tag_field="type", tag=snake_case, frozen=True):
     undo_label: ClassVar[str | None] = None
     """Name of the command in the undo menu.
 
-    None if the command is no step of undo, or if the step names the changed object itself.
+    None if the command is not a step of undo, or if the step names the changed object itself.
     """
     sets: ClassVar[str | None] = None
     """Field of the look or of the sight that the command sets, if it does nothing else, else None."""

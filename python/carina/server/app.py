@@ -63,7 +63,7 @@ def create_app(hub: Hub, gate: Gate, uploads: Uploads, *, web: Path | None = Non
     uploads
         Storage of files that users drop on a window.
     web
-        Folder of the built client; None shows a page that says how to build it.
+        Folder of the built client; None shows a page that states how to build it.
     """
     downloads, reports = Downloads(hub.session), Reports(hub.session)
     pictures, films = Pictures(hub.session), Films(hub.session)

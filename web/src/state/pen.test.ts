@@ -35,7 +35,7 @@ describe("wasUsedByPen", () => {
   const reported = (num: number, airways: StateMessage["airways"]) =>
     ({ targets: Array.from({ length: num }), airways }) as unknown as StateMessage;
 
-  it("It is true only for a pen tool whose target was added or whose search has started.", () => {
+  it("is true only for a pen tool whose target was added or whose search has started", () => {
     expect(wasUsedByPen("target", reported(0, "found"), reported(1, "found"))).toBe(true);
     expect(wasUsedByPen("target", reported(1, "found"), reported(1, "found"))).toBe(false);
     expect(wasUsedByPen("add", reported(0, "found"), reported(1, "found"))).toBe(false);

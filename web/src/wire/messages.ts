@@ -16,7 +16,7 @@ export const CLOSE_CODES = {
   "protocol.watching-ended": 4410,
 } as const;
 
-/** Largest angle in degrees of an opening straight ahead; least ratio of the other openings' angles to this angle. */
+/** Largest angle of an opening straight ahead, degrees; least ratio of the other openings' angles to it. */
 export const STRAIGHT_AHEAD = { most_deg: 6.0, times: 2.0 } as const;
 
 /** 4x4, row-major. */
@@ -2267,8 +2267,8 @@ export const FIRST_SIGHT: Sight = {
 };
 
 /**
- * Commands that set one field of `look` or `sight`, to the value of their field `from`; null uses all fields of
- * the command. With `by_view` the field has a value for each view.
+ * Commands that set one field of `look` or `sight`, to the value of their field `from`; null uses all fields
+ * of the command. With `by_view` the field has a value for each view.
  */
 export const SETS = {
   set_operator: { of: "look", field: "operator", from: "position", by_view: false },

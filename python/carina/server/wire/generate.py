@@ -252,7 +252,7 @@ def typescript() -> str:
         *(f"  {json.dumps(name)}: {code}," for name, code in messages.CLOSE_CODES.items()),
         "} as const;",
         "",
-        "/** Largest angle in degrees of an opening straight ahead; least ratio of the other openings' angles to this angle. */",
+        "/** Largest angle of an opening straight ahead, degrees; least ratio of the other openings' angles to it. */",
         f"export const STRAIGHT_AHEAD = {{ most_deg: {AHEAD_DEG}, times: {AHEAD_TIMES} }} as const;",
         "",
         "/** 4x4, row-major. */",
@@ -291,8 +291,8 @@ def _display_fields() -> list[str]:
         ]
     lines += [
         "/**",
-        " * Commands that set one field of `look` or `sight`, to the value of their field `from`; null uses all fields of",
-        " * the command. With `by_view` the field has a value for each view.",
+        " * Commands that set one field of `look` or `sight`, to the value of their field `from`; null uses all fields",
+        " * of the command. With `by_view` the field has a value for each view.",
         " */",
         "export const SETS = {",
     ]

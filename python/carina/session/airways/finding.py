@@ -70,7 +70,7 @@ class AirwayHandlers(CommandHandlers):
     def take_mask(self, command: c.TakeMask) -> str:
         """Import a segmentation: one job reads and resamples the mask, and another one builds its tree.
 
-        The jobs fail with a message if the file is no mask of the scan.
+        The jobs fail with a message if the file is not a mask of the scan.
         """
         path, label, resample = command.path, command.label, command.resample
         case = self.core.needed_case()

@@ -1,4 +1,4 @@
-"""Scope in the lumen: a job computes the airway wall, and the scope is then laid along the route."""
+"""Scope in the lumen: a job computes the airway wall, and the scope is then inserted along the route."""
 
 from __future__ import annotations
 

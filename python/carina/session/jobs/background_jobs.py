@@ -91,7 +91,7 @@ def _fault_error(title: str, trouble: BaseException) -> CarinaError:
 def _disk_or_memory_error(title: str, trouble: OSError) -> CarinaError:
     """Return a Carina error for an OSError of a job.
 
-    Disk errors, such as a full disk, are no internal faults of Carina.
+    Disk errors, such as a full disk, are not internal faults of Carina.
     """
     if is_disk_trouble(trouble):
         return disk_trouble(trouble, f"{title} failed", None)
@@ -312,7 +312,7 @@ class JobRunner:
         except OSError as exc:
             outcome, error = "failed", _disk_or_memory_error(job.title, exc)
         except BaseException as exc:
-            # BaseException, because a panic of the compiled module is no Exception; every job must report its end.
+            # BaseException, because a panic of the compiled module is not an Exception; every job must report its end.
             outcome, error = "failed", _fault_error(job.title, exc)
         return_freed_memory()
         job_group = current_group()

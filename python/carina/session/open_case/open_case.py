@@ -127,9 +127,9 @@ class ScopeInLumen:
     """The scope in the lumen, or the scope that waits for the airway wall."""
 
     laid: str | None = None
-    """Name of the scope preset that was last laid into the lumen; None before the first one."""
+    """Name of the scope preset that was last inserted into the lumen; None before the first one."""
     awaited: PendingScope | None = None
-    """Scope that is laid into the lumen as soon as the airway wall is computed."""
+    """Scope that is inserted into the lumen as soon as the airway wall is computed."""
 
 
 @dataclass(slots=True)
@@ -332,7 +332,7 @@ def new_case(
 
 
 def restore(case: OpenCase, stored: Moment) -> None:
-    """Restore tip, search status and numbers of a stored case; a scope is laid in once the wall is computed."""
+    """Restore tip, search status and numbers of a stored case; a scope is inserted once the wall is computed."""
     document = case.document
     case.flown_route = document.route
     case.pilot.apply(path_move(None if document.airways is None else document.airways.tree, document.route))

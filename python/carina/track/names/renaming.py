@@ -19,7 +19,7 @@ from carina.track.names.tree_fit import MISFIT
 from carina.track.tree.airway_tree import AirwayTree, Branch
 
 MAX_ADDED = 2
-"""Largest number of new branches with which the former names are kept.
+"""Largest number of new branches with which the former names stay.
 
 One added branch makes two: the branch, and the lower part of its divided parent. An edit that adds more, such as a
 bridge, adds airways that were unknown when the former names were chosen.
@@ -80,8 +80,8 @@ def name_edited_tree(before: AirwayTree, tree: AirwayTree) -> AirwayTree:
     AirwayTree
         ``tree`` with names. All names are determined again, as by :func:`carina.track.name_tree`, if the edit adds more
         than two branches or changes a name that the user gave, or if the probability of those former names that would
-        change is below 0.05. Otherwise the former names are kept and constrain the names of the new branches. A former
-        name that would only be lost is kept with a confidence of at most 0.5. A branch without a name gets one if its
+        change is below 0.05. Otherwise the former names stay and constrain the names of the new branches. A former
+        name that would only be lost stays with a confidence of at most 0.5. A branch without a name gets one if its
         confidence is at least 0.8.
 
         An edit that adds and removes at most two branches does not make a human tree one that is unlike a human tree.
@@ -122,7 +122,7 @@ def name_edited_tree(before: AirwayTree, tree: AirwayTree) -> AirwayTree:
 def extends_tips_only(before: AirwayTree, after: AirwayTree) -> bool:
     """Return whether an edit extended tips at their ends and added, removed and renamed no branch.
 
-    A moved fork can make a tip longer at its start, which is no new airway.
+    A moved fork can make a tip longer at its start, which is not a new airway.
     """
     former = {branch.id: branch for branch in before.branches}
     if len(after.branches) != len(former) or _by_user(before) != _by_user(after):
