@@ -287,7 +287,7 @@ class Reader(ast.NodeVisitor):
     """
 
     def __init__(self, tree: ast.Module, verbs: frozenset[str], frames: dict[str, Frame], used: set[int]) -> None:
-        self.kept: list[tuple[int, int, str, int]] = []
+        self.found_texts: list[tuple[int, int, str, int]] = []
         self.verbs, self.frames, self.used = verbs, frames, used
         self.module = assigned_in(tree)
         self.texts = Texts({}, self.module, used)
@@ -295,7 +295,7 @@ class Reader(ast.NodeVisitor):
     @property
     def found(self) -> list[tuple[int, int, str]]:
         """Return the sentences with line and column, without the sentences that are part of another sentence."""
-        return sorted((line, column, text) for line, column, text, node in self.kept if node not in self.used)
+        return sorted((line, column, text) for line, column, text, node in self.found_texts if node not in self.used)
 
     def keep(self, node: ast.stmt | ast.expr, text: str, *, whole: bool = False) -> None:
         """Store a text with the position of its node.
@@ -304,7 +304,7 @@ class Reader(ast.NodeVisitor):
         """
         tidy = " ".join(text.split()).removesuffix(";")
         if tidy:
-            self.kept.append((node.lineno, node.col_offset, tidy, 0 if whole else id(node)))
+            self.found_texts.append((node.lineno, node.col_offset, tidy, 0 if whole else id(node)))
 
     def visit_Expr(self, node: ast.Expr) -> None:
         """Collect the texts of an expression statement; a docstring is not collected."""

@@ -307,7 +307,7 @@ def judged(case: PlanCase, say: Say, *, with_holds: bool = False, with_laid: boo
             continue
         reach_mm = plan.tool.reach_mm
         row["reachable"] = is_reachable(case.truth, target, scope, reach_mm)
-        row |= _told(plan)
+        row |= _stated_row(plan)
         flight = Flight(False, plan.why or "")
         if plan.routes:
             flight = flown(case, target, plan.routes[0], scope, reach_mm)
@@ -328,7 +328,7 @@ def judged(case: PlanCase, say: Say, *, with_holds: bool = False, with_laid: boo
         yield row
 
 
-def kept_rows(
+def stored_rows(
     folder: Path | None,
     name: str,
     make: Callable[[], PlanCase],
@@ -338,9 +338,9 @@ def kept_rows(
     with_laid: bool = False,
 ) -> list[Row]:
     """Return the rows of the case ``name`` that the same code has stored in ``folder``; else judge and store them."""
-    kept = None if folder is None else folder / "rows" / f"{name}.json"
-    if kept is not None and kept.exists():
-        found = json.loads(kept.read_text())
+    stored = None if folder is None else folder / "rows" / f"{name}.json"
+    if stored is not None and stored.exists():
+        found = json.loads(stored.read_text())
         if found["code"] == CODE and _is_searched(found["rows"], with_holds, with_laid):
             rows: list[Row] = found["rows"]
             return rows
@@ -354,11 +354,11 @@ def kept_rows(
         f"{name}: {arrived} of {reachable} reachable arrive; {len(rows)} targets; {found_s:.0f} s of the processor to "
         f"make or read the case, {planned_s:.0f} to plan"
     )
-    if kept is not None:
-        kept.parent.mkdir(parents=True, exist_ok=True)
-        draft = kept.with_suffix(".draft")
+    if stored is not None:
+        stored.parent.mkdir(parents=True, exist_ok=True)
+        draft = stored.with_suffix(".draft")
         draft.write_text(json.dumps({"code": CODE, "rows": rows}, indent=0))
-        draft.rename(kept)
+        draft.rename(stored)
     return rows
 
 
@@ -370,7 +370,7 @@ def _is_searched(rows: Sequence[Row], with_holds: bool, with_laid: bool) -> bool
     )
 
 
-def _told(plan: Plan) -> Row:
+def _stated_row(plan: Plan) -> Row:
     if not plan.routes:
         return {"outlook": "no route"}
     first = plan.routes[0]
@@ -477,7 +477,7 @@ def run(
     data = load_settings().data_dir
     if seeds is None:
         seeds = PHANTOM_SEEDS[:2] if quick else PHANTOM_SEEDS
-    rows_of = partial(kept_rows, folder, say=say, with_holds=with_holds, with_laid=with_laid)
+    rows_of = partial(stored_rows, folder, say=say, with_holds=with_holds, with_laid=with_laid)
     phantoms: list[Row] = []
     for seed in seeds:
         phantoms += rows_of(f"phantom-{seed}", partial(phantom_case, seed, num=nodules))
@@ -498,7 +498,7 @@ def run(
 def main() -> None:
     """Run the command line: judge the routes of all cases and print the rows."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("folder", type=Path, help="Where the CTs with their airways are kept.")
+    parser.add_argument("folder", type=Path, help="Folder of the stored CTs and their airways.")
     parser.add_argument("--quick", action="store_true", help="One patient and two phantoms.")
     parser.add_argument("--holds", action="store_true", help="Search holds that hit each target by geometry.")
     parser.add_argument("--laid", action="store_true", help="Also search holds of the elastic model (slow).")

@@ -400,15 +400,15 @@ def test_directions_of_a_thin_branch_follow_its_bends():
 
 
 @pytest.mark.parametrize(
-    ("num", "length_mm", "is_told"), [(5, 6.0, True), (21, 20.0, True), (4, 20.0, False), (21, 4.9, False)]
+    ("num", "length_mm", "is_stated"), [(5, 6.0, True), (21, 20.0, True), (4, 20.0, False), (21, 4.9, False)]
 )
-def test_taper_is_stated_only_for_five_cross_sections_over_five_millimetres(num, length_mm, is_told):
+def test_taper_is_stated_only_for_five_cross_sections_over_five_millimetres(num, length_mm, is_stated):
     at = np.linspace(0.0, length_mm, num)
     even = np.full(num, 0.1)
     summary = summary_of(
         at, (8.0 - 0.05 * at, even), (even, even), np.ones(num, dtype=bool), angle_deg=None, stenosis=None
     )
-    assert summary.taper == (pytest.approx(-0.05) if is_told else None)
+    assert summary.taper == (pytest.approx(-0.05) if is_stated else None)
 
 
 def test_cross_section_with_an_invalid_plane_is_refused(chest):

@@ -165,14 +165,14 @@ def test_poor_reading_with_another_laterality_needs_the_usual_fit(monkeypatch):
 def test_removal_of_many_branches_can_make_a_tree_unlike_a_human_one(monkeypatch):
     tree = uncut(1)
     top = max((b for b in tree.branches if b.parent == tree.root.id), key=lambda b: len(b.children))
-    gone, found = {top.id}, [top.id]
+    removed, found = {top.id}, [top.id]
     while found:
         found = [child for one in found for child in tree.branch(one).children]
-        gone |= set(found)
+        removed |= set(found)
     rest = tuple(
-        dataclasses.replace(b, children=tuple(child for child in b.children if child not in gone))
+        dataclasses.replace(b, children=tuple(child for child in b.children if child not in removed))
         for b in tree.branches
-        if b.id not in gone
+        if b.id not in removed
     )
     monkeypatch.setattr(naming, "POOR_FIT", 100.0)
     before = name_human_tree(tree, is_mirrored=False)

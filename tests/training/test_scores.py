@@ -215,7 +215,7 @@ def test_replay_of_an_earlier_attempt_does_not_count_at_any_speed(chest, best, b
     assert judged.reasons[1] == ("the poses repeat those of attempt 1: a replay of its recording",)
 
 
-def test_zoomed_out_lens_gives_nothing_and_is_reported(chest, best, best_score):
+def test_wide_lens_does_not_raise_the_score_and_is_reported(chest, best, best_score):
     turned = []
     for pose in best:
         # The openings are 75 degrees from the middle: outside the instrument's picture, inside that of a wide lens.

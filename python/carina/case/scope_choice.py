@@ -35,7 +35,7 @@ def document_with_scope(document: Document, name: str, *, resets_view: bool = Fa
 def document_with_lesion(document: Document, target: Target) -> Document:
     """Return a document with a target with a size, which is new or replaces the target with the same ID.
 
-    The plan of the target uses the scope of the case. The generic scope, with which a case begins, stands for no
+    The plan of the target uses the scope of the case. A case begins with the generic scope, which is not an
     instrument; the first plan replaces it by the scope that plans use by default.
     """
     known = any(one.target_id == target.target_id for one in document.targets)

@@ -307,7 +307,7 @@ class SessionCore:
         with self.lock:
             window = _running_command.get().window
             works = window not in self._watched
-            case.sights.change(window, change, is_kept=works)
+            case.sights.change(window, change, is_latest=works)
             for step in self.after_sight if works else ():
                 step(case)
             self.answer(Changed(frozenset({"state", "views"})))
@@ -409,7 +409,7 @@ class SessionCore:
                 measures=case.measures.of(case.document.airways),
                 route_scale=case.planning.route_scale(case.document),
                 target_places_mm=case.planning.target_places_mm(case.document),
-                mask_question=None if case.asked_mask is None else case.asked_mask.question,
+                mask_question=None if case.pending_mask is None else case.pending_mask.question,
                 saving=(saving := self.saving()),
                 flights=flight_list(case, saving),
             )

@@ -25,9 +25,9 @@ describe("point that the pen's button marks", () => {
   it("penPoint returns the pen's point, and null if no pen moves the tip.", () => {
     const reported = reduce(INITIAL_STATE, { kind: "server", message: pen() });
     expect(penPoint(reported)).toEqual([1, 2, 3]);
-    const gone = reduce(reported, { kind: "server", message: pen({ device: null, lps: null }) });
-    expect(gone.pen).toBeNull();
-    expect(penPoint(gone)).toBeNull();
+    const disconnected = reduce(reported, { kind: "server", message: pen({ device: null, lps: null }) });
+    expect(disconnected.pen).toBeNull();
+    expect(penPoint(disconnected)).toBeNull();
   });
 });
 

@@ -324,7 +324,7 @@ export interface FlyFlightMessage {
   readonly goes_on?: boolean;
 }
 
-/** Delete a recorded flight. The deletion is no step of the history, so undo does not restore the flight. */
+/** Delete a recorded flight. The deletion is not a step of the history, so undo does not restore the flight. */
 export interface RemoveFlightMessage {
   readonly type: "remove_flight";
   readonly number: number;
@@ -753,7 +753,7 @@ export interface NextQuestionMessage {
   readonly type: "next_question";
 }
 
-/** Place the tip again where the present question of the quiz was asked. */
+/** Place the tip again at the pose of the present question of the quiz. */
 export interface RepeatQuestionMessage {
   readonly type: "repeat_question";
 }
@@ -1513,7 +1513,7 @@ export interface Reformation {
   readonly mm_per_px: number | null;
 }
 
-/** Display settings of a case, which are no step of undo. */
+/** Display settings of a case, which are not steps of undo. */
 export interface Sight {
   readonly crosshair_lps: readonly [number, number, number] | null;
   readonly window: GreyWindow | null;
