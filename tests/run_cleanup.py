@@ -52,7 +52,7 @@ def kill_marked(folder: str) -> list[str]:
     return list(killed.values())
 
 
-def remove_kept_folder(folder: Path) -> None:
+def remove_leftover_folder(folder: Path) -> None:
     """Delete the ``tmp_path`` folders of a run and their parent folders of pytest that are then empty."""
     newest = folder.parent / "pytest-current"
     if newest.is_symlink() and newest.resolve() == folder.resolve():
@@ -102,7 +102,7 @@ def clean_up(config: pytest.Config, folder: str, interrupts: Interrupts) -> None
     remove_drafts(config.rootpath / ".pytest_cache" / "d" / "made", Path(folder).name)
     if interrupts.num and config.option.basetemp is None:
         # pytest has no public attribute for this folder; xdist reads the same one.
-        remove_kept_folder(config._tmp_path_factory.getbasetemp())
+        remove_leftover_folder(config._tmp_path_factory.getbasetemp())
     for command in [] if interrupts.num else killed:
         print(f"left running by the tests, killed: {command[:160]}", file=sys.stderr)
 

@@ -18,7 +18,7 @@ __all__ = ["write_second_ct"]
 
 @cache
 def digest_of_the_deformation() -> str:
-    """Return a digest of the benchmark's module that deforms the CT, which is no part of the package."""
+    """Return a digest of the benchmark's module that deforms the CT, which is not part of the package."""
     return hashlib.sha256(Path(breathing.__file__).read_bytes()).hexdigest()[:8]
 
 

@@ -301,7 +301,7 @@ def judge_advisories(
             result.bad.append(f"{number} in {package}: its exception in audit.toml ended on {until}; look again")
 
 
-def _asked(result: Result, command: list[str], cwd: Path, run: Callable[..., Any]) -> Any:
+def _json_output(result: Result, command: list[str], cwd: Path, run: Callable[..., Any]) -> Any:
     """Return the JSON output of a program; None if the program failed, with the reason added to the result."""
     tool = command[0] if command[0] != "cargo" else "cargo-audit"
     if shutil.which(tool) is None:
@@ -326,7 +326,7 @@ def rust_advisories(
 ) -> Result:
     """Return the check of the Rust advisories by ``cargo audit`` and RustSec's database."""
     result = Result("advisories, Rust")
-    report = _asked(result, ["cargo", "audit", "--json"], root, run)
+    report = _json_output(result, ["cargo", "audit", "--json"], root, run)
     if report is None:
         return result
     database = report.get("database", {})
@@ -351,7 +351,7 @@ def python_advisories(
     command = ["pip-audit", "--format", "json", "--progress-spinner", "off", "--no-deps", "--disable-pip"]
     for lock in LOCKS:
         command += ["--requirement", lock]
-    report = _asked(result, command, root, run)
+    report = _json_output(result, command, root, run)
     if report is None:
         return result
     rows = report.get("dependencies", []) if isinstance(report, dict) else report
@@ -373,7 +373,9 @@ def npm_advisories(
 ) -> Result:
     """Return the check of the npm advisories by ``npm audit`` and the registry."""
     result = Result("advisories, npm")
-    report = _asked(result, ["npm", "audit", "--json", "--package-lock-only", "--fetch-retries=0"], root / "web", run)
+    report = _json_output(
+        result, ["npm", "audit", "--json", "--package-lock-only", "--fetch-retries=0"], root / "web", run
+    )
     if report is None:
         return result
     if "vulnerabilities" not in report or "metadata" not in report:

@@ -285,7 +285,7 @@ def _fields_of(node: ast.ClassDef) -> Fields:
     for statement in node.body:
         if isinstance(statement, ast.AnnAssign) and isinstance(statement.target, ast.Name):
             kind = ast.unparse(statement.annotation)
-            # The tag that distinguishes the classes of a union is no shared field.
+            # The tag that distinguishes the classes of a union is not a shared field.
             if "ClassVar" not in kind and not re.fullmatch(r"""Literal\[['"][^,]*['"]\]""", kind):
                 fields.add((statement.target.id, kind))
     return frozenset(fields)

@@ -55,7 +55,7 @@ TOKENS = {
         r"((un)?signed )?(char|short|int|long( long)?)( int)?|space (directions|origin|units)|(data|line|byte|old) \w+"
     ),
 }
-"""Pattern by file of strings that contain two words but are no text for users: terms of a file format, sources."""
+"""Pattern by file of strings that contain two words but are not text for users: terms of a file format, sources."""
 NEVER = ROOT / "tools" / "wrong_words.toml"
 """File of the words that must not occur in texts for users."""
 RUST_ERROR = re.compile(r'#\[error\(\s*"((?:[^"\\]|\\.)*)"', re.DOTALL)
@@ -207,7 +207,7 @@ class Texts:
         return list(dict.fromkeys(filter(None, found))) if is_written else None
 
     def literals(self, *nodes: ast.expr) -> list[str] | None:
-        """Return the texts of several string literals; None if one of the expressions is no literal."""
+        """Return the texts of several string literals; None if one of the expressions is not a literal."""
         used = set(self.used)
         texts = [self.literal(node) for node in nodes]
         found = [text for text in texts if text is not None]
@@ -287,7 +287,7 @@ class Reader(ast.NodeVisitor):
     """
 
     def __init__(self, tree: ast.Module, verbs: frozenset[str], frames: dict[str, Frame], used: set[int]) -> None:
-        self.kept: list[tuple[int, int, str, int]] = []
+        self.found_texts: list[tuple[int, int, str, int]] = []
         self.verbs, self.frames, self.used = verbs, frames, used
         self.module = assigned_in(tree)
         self.texts = Texts({}, self.module, used)
@@ -295,7 +295,7 @@ class Reader(ast.NodeVisitor):
     @property
     def found(self) -> list[tuple[int, int, str]]:
         """Return the sentences with line and column, without the sentences that are part of another sentence."""
-        return sorted((line, column, text) for line, column, text, node in self.kept if node not in self.used)
+        return sorted((line, column, text) for line, column, text, node in self.found_texts if node not in self.used)
 
     def keep(self, node: ast.stmt | ast.expr, text: str, *, whole: bool = False) -> None:
         """Store a text with the position of its node.
@@ -304,7 +304,7 @@ class Reader(ast.NodeVisitor):
         """
         tidy = " ".join(text.split()).removesuffix(";")
         if tidy:
-            self.kept.append((node.lineno, node.col_offset, tidy, 0 if whole else id(node)))
+            self.found_texts.append((node.lineno, node.col_offset, tidy, 0 if whole else id(node)))
 
     def visit_Expr(self, node: ast.Expr) -> None:
         """Collect the texts of an expression statement; a docstring is not collected."""
@@ -369,7 +369,7 @@ class Reader(ast.NodeVisitor):
         if is_prose(text):
             self.keep(node, text)
         else:
-            # A concatenation is no f-string: its parts are collected separately.
+            # A concatenation is not an f-string: its parts are collected separately.
             self.used.intersection_update(used)
         for part in node.values:
             if isinstance(part, ast.FormattedValue):

@@ -10,20 +10,20 @@ const [, , webFolder, ...files] = process.argv;
 const vite = createRequire(`${webFolder}/package.json`).resolve("vite");
 const { parseSync } = await import(pathToFileURL(vite).href);
 
-/** Attributes and fields whose strings a person reads, also where they are one word. */
+/** Attributes and fields whose strings users read, single words included. */
 const READ =
   /^(aria-?label|aria-?description|aria-?valuetext|title|label|labels|placeholder|alt|words|hint|short|text|message|describe|description|question|yes|no|sentence|unit|heading|help|caption|note|why|sign|what|says|figure|summary)$/i;
-/** Those whose strings are for programs. */
+/** Attributes and fields whose strings are for programs. */
 const UNREAD =
   /^(class(Name)?|d|viewBox|key|id|htmlFor|testId|data-.*|kind|icon|role|type|href|src|rel|target|slot|placement|style|fill|stroke|transform|points|name|lang|accept|autoComplete|inputMode|action|command|axis|place|group|code|font|scope|aria-(live|hidden|controls|labelledby|describedby|current|pressed|orientation|haspopup|modal|atomic))$/;
-/** Calls whose arguments are for programs or for who develops. */
+/** Functions whose arguments are for programs or developers. */
 const UNREAD_CALLS = /^(querySelector(All)?|matchMedia|getContext|addEventListener|removeEventListener|getElementById|createElement|fetch|startsWith|endsWith|includes|join|split|RegExp|closest|setAttribute|warn|debug|info|log)$/;
 
 const LETTER = "A-Za-z\\u00c0-\\u024f";
 const PROSE = new RegExp(`[${LETTER})}\\]][,.;:]? +[(\u201c"{\\[]?[${LETTER}]`);
-/** A word beside something that is filled in, such as "{time} left". */
+/** A word beside an inserted value, such as "{time} left". */
 const WORD_BESIDE = /\}[ ,;:%]* [a-z]{3,}\b|(^|\s)[a-z]{3,}[,:;]? \{/;
-/** Elements that are words of the sentence that they stand in. */
+/** Elements whose text is part of the surrounding sentence. */
 const INLINE = /^(a|abbr|b|code|em|i|kbd|mark|q|small|span|strong|sub|sup|var)$/;
 
 function isProse(text) {
@@ -32,7 +32,7 @@ function isProse(text) {
 }
 const hasLetters = (text) => /[A-Za-z]{2}|\b[aAI]\b/.test(text.replace(/\{[^}]*\}/g, ""));
 
-/** Whether a node is another one in parentheses. */
+/** Return whether a node is an expression in parentheses. */
 const isWrapped = (node) => node.type.startsWith("Parenthesi");
 
 function nameOf(node) {
@@ -69,10 +69,10 @@ function nameOf(node) {
   }
 }
 
-/** Strings that were put into a longer one: not sentences of their own. */
+/** Nodes whose text is part of a longer text and is therefore not listed as a sentence. */
 const used = new Set();
 
-/** A string that is written here, with what is filled in; null for anything else. */
+/** Return the literal text of a node, with inserted values in braces; null for other nodes. */
 function writtenText(node) {
   if (isWrapped(node)) return writtenText(node.expression);
   switch (node.type) {
@@ -103,7 +103,7 @@ function writtenText(node) {
   }
 }
 
-/** The strings of which one is read; null where none of them is written here. */
+/** Return the alternative texts of a conditional expression; null if no branch is a literal text. */
 function choicesOf(node) {
   const found = [];
   let isWritten = false;
@@ -120,19 +120,19 @@ function choicesOf(node) {
   return isWritten ? [...new Set(found.filter((text) => text !== ""))] : null;
 }
 
-/** What a person reads in the place of an expression: {filled in}, [there at times], [this | that]. */
+/** Return the text for an expression: {inserted value}, [optional text], [alternative | alternative]. */
 function inBraces(node) {
   if (node.type === "CallExpression" && node.callee.name === "plural") {
     const [count, one, many] = node.arguments;
     const words = many === undefined ? `${one.value}[s]` : one.value === many.value ? one.value : `[${one.value} | ${many.value}]`;
     if (typeof one.value === "string") return `{${nameOf(count)}} ${words}`;
   }
-  const text = keptIf((found) => found !== null, () => writtenText(node));
+  const text = textIf((found) => found !== null, () => writtenText(node));
   return text ?? `{${nameOf(node)}}`;
 }
 
-/** A text; what it is made of counts as used only if the text is wanted. */
-function keptIf(isWanted, make) {
+/** Return the text of `make` if `isWanted` accepts it, else null; only then are the nodes in `used`. */
+function textIf(isWanted, make) {
   const before = [...used];
   const text = make();
   if (isWanted(text)) return text;
@@ -148,7 +148,7 @@ function textOfTemplate(node) {
   }).join("");
 }
 
-/** An element without text of its own, by what it is given: a number that it writes. */
+/** Return the text of an element; for an element without text, the value of its first attribute in braces. */
 function textOfElement(element) {
   const inner = writtenText(element);
   if (inner !== null && inner !== "") return inner;
@@ -156,7 +156,7 @@ function textOfElement(element) {
   return element.children?.length === 0 && given !== undefined ? inBraces(given) : "<>";
 }
 
-/** Text between elements, as JSX reads its lines. */
+/** Return the text between elements with its white space collapsed as in JSX. */
 function lineText(value) {
   const lines = value.split("\n");
   return lines
@@ -189,7 +189,7 @@ function collect(tree) {
     const tidy = text.replace(/\s+/g, " ").trim();
     if (tidy !== "") found.push([node.start, tidy, node]);
   };
-  /** `read`: true where every string is read, false where only prose is, null where none is. */
+  /** Collect the strings below a node. `read`: true for every string, false for prose only, null for none. */
   function walk(node, read) {
     if (node === null || typeof node !== "object") return;
     if (Array.isArray(node)) {
@@ -213,7 +213,7 @@ function collect(tree) {
         return;
       case "TemplateLiteral": {
         const isWanted = (text) => read !== null && (read ? hasLetters(text) : isProse(text));
-        const text = keptIf(isWanted, () => textOfTemplate(node));
+        const text = textIf(isWanted, () => textOfTemplate(node));
         if (text !== null) keep(node, text);
         walk(node.expressions, read === null ? null : false);
         return;

@@ -121,9 +121,9 @@ FONT = """() => {
 }"""
 """Script that returns the width of a sample text, which depends on the fonts of the machine."""
 BOX_TOLERANCE_PX = 12
-"""Largest change of a box that is no visible change, pixels: the width of one digit."""
+"""Largest change of a box that is not a visible change, pixels: the width of one digit."""
 COLOUR_TOLERANCE = 10
-"""Largest change of a mean colour (0 to 255) that is no visible change: the effect of rounding."""
+"""Largest change of a mean colour (0 to 255) that is not a visible change: the effect of rounding."""
 
 
 def at_rest(station: Workstation, shot: Shot) -> None:

@@ -97,7 +97,7 @@ class Mutant:
         lines[self.line - 1] = line[: self.column] + self.after + line[self.column + len(self.before) :]
         return "".join(lines)
 
-    def told(self) -> str:
+    def summary(self) -> str:
         """Return a line of text with the position, the change and the changed line of code."""
         line = self.path.read_text(encoding="utf-8").splitlines()[self.line - 1].strip()
         return f"{self.place}: {self.before!r} to {self.after!r} in: {line}"
@@ -332,7 +332,7 @@ def main() -> int:
     chosen = [(n, mutant) for n, mutant in drawn if arguments.only is None or n in arguments.only]
     if arguments.list:
         for n, mutant in chosen:
-            print(f"{n:3d} {mutant.told()}")
+            print(f"{n:3d} {mutant.summary()}")
         return 0
     lives: list[str] = []
     with tempfile.TemporaryDirectory(prefix="carina-mutants-") as folder:
@@ -346,7 +346,7 @@ def main() -> int:
             began_s = time.monotonic()
             killer = bench.kills(mutant, thorough=arguments.thorough)
             took = f"{time.monotonic() - began_s:.0f} s"
-            print(f"{n:3d} {'LIVES' if killer is None else 'died '} {took:>6} {mutant.told()}", flush=True)
+            print(f"{n:3d} {'LIVES' if killer is None else 'died '} {took:>6} {mutant.summary()}", flush=True)
             if killer is None:
                 lives.append(mutant.place)
             else:

@@ -90,7 +90,7 @@ def split_sentences(text: str) -> list[Sentence]:
             found.append(Sentence(last.section, last.number, f"{last.text} {parts.pop(0)}"))
         continues = line[-1] not in ".!?:"
         for sentence in parts:
-            # Headings, labels of pictures and single words are no sentences.
+            # Headings, labels of pictures and single words are not sentences.
             short = len(re.findall(r"[A-Za-z]{2,}", sentence)) < 4
             if short and not sentence.endswith(".") and not sentence.startswith(("- ", "Figure", "Table")):
                 continues = False
@@ -191,7 +191,7 @@ def _expand_braces(name: str) -> list[str]:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Print what is missing, and return the exit code."""
+    """Print the faults of the rows of the paper map, and return the exit code."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("paper", type=Path, help="text of the paper")
     parser.add_argument("--list", metavar="SECTION", help="print the sentences of a section (all: every section)")

@@ -1,4 +1,4 @@
-"""Write what accompanies a release: licences of all parts, a list of all parts (SBOM), and checksums.
+"""Write the documents of a release: licences of all parts, a list of all parts (SBOM), and checksums.
 
 A wheel contains compiled Rust crates and the libraries of the web UI. Their licence texts are collected from the
 sources on this machine into ``python/carina/_licences/parts.txt``, which the wheel includes. The SBOM (CycloneDX 1.6)
@@ -148,7 +148,7 @@ def parts_list(version: str, parts: Iterable[Part]) -> dict[str, Any]:
 
 
 def schema_problem(document: str) -> str | None:
-    """Return what violates the schema of CycloneDX 1.6 in a list of parts; None if it is valid.
+    """Return the first violation of the schema of CycloneDX 1.6 by a list of parts; None if the list is valid.
 
     The schema is part of cyclonedx-python-lib, which only the environment of ``make wheels`` has.
     """

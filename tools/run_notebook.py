@@ -38,7 +38,7 @@ class Shown:
     kind: str
     source: str
     value: Any = None
-    """Value of the last line of the cell; None if this line is no expression."""
+    """Value of the last line of the cell; None if this line is not an expression."""
     printed: str = ""
 
 

@@ -83,7 +83,7 @@ def order_of_round(names: Sequence[str], turn: int) -> list[str]:
 
 
 def median_ratio(slow: Times, fast: Times) -> float:
-    """Return how many times slower ``slow`` is: the median over the rounds of the ratio of CPU times within a round.
+    """Return the median over the rounds of the ratio of the CPU times of ``slow`` and ``fast`` within a round.
 
     Other load of the machine affects both functions of a round alike. The ratio of two medians could compare a busy
     round with a quiet one.

@@ -63,7 +63,7 @@ def bench_render(
     """Compare the times of whole frames with VTK and numba, and of leaping with brute force.
 
     Sections: frames, small, views, first-frame (time to the first frame), paper (the paper's setting). The section
-    paper and the one real case need CARINA_DATA_DIR. A missed limit is reported and is no failure: the exit code is 0.
+    paper and the one real case need CARINA_DATA_DIR. A missed limit is reported; the exit code is still 0.
 
     Example: carina bench render --quick --only frames --case patient
     """
@@ -109,7 +109,7 @@ def bench_track(
     Parts: speed, paper, graphs, mr, quality, visible, names, measures, evidence. The parts walls, hard, shares,
     classes, statements, diameters and tips take up to an hour or more each, so they run only if --only names them. The
     report names each part that was omitted because this version does not have it, or because its data or a program for
-    comparison are missing. A missed limit is reported and is no failure: the exit code is 0.
+    comparison are missing. A missed limit is reported; the exit code is still 0.
 
     Example: carina bench track --only speed --quick
     """
@@ -136,7 +136,7 @@ def bench_movement(
     """Compare the movement of targets measured from a second CT with a known deformation.
 
     Ten phantoms and the real CT of CARINA_DATA_DIR are deformed by published amplitudes of breathing. Needs no extra;
-    takes several minutes for each case. A missed limit is reported and is no failure: the exit code is 0.
+    takes several minutes for each case. A missed limit is reported; the exit code is still 0.
 
     Example: carina bench movement --case phantom-7
     """
@@ -153,7 +153,7 @@ def bench_open(
 ) -> None:
     """Measure the time to open a CT of 512x512x600 from DICOM, from NIfTI, and from the cache, alternately.
 
-    Needs no extra. A missed limit is reported and is no failure: the exit code is 0.
+    Needs no extra. A missed limit is reported; the exit code is still 0.
 
     Example: carina bench open --quick
     """
@@ -174,7 +174,7 @@ def bench_reopen(
     """Measure the time from the click on a saved case of 512x512x600 until its state and its first pictures arrive.
 
     The case is opened in a running Carina without a browser: from a disk cache that is in memory, and from one that
-    must be read from the disk. Needs no extra. A missed limit is reported and is no failure: the exit code is 0.
+    must be read from the disk. Needs no extra. A missed limit is reported; the exit code is still 0.
 
     Example: carina bench reopen --quick
     """
@@ -212,7 +212,7 @@ def bench_stream(
 ) -> None:
     """Measure the time from an input to the decoded 512x512 picture that shows it, for keys and for a device.
 
-    A missed limit is reported and is no failure: the exit code is 0.
+    A missed limit is reported; the exit code is still 0.
 
     Example: carina bench stream --quick
     """

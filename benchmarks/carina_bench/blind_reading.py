@@ -95,7 +95,7 @@ def scores(key: Mapping[str, Mapping[str, Any]], answers: Mapping[str, float]) -
     """
     missing = sorted(set(key) - set(answers))
     if missing:
-        raise UsageError(f"no hour is told for picture {', '.join(missing)}")
+        raise UsageError(f"no hour is stated for picture {', '.join(missing)}")
     rows = {}
     for name, decorated in (("decorated", True), ("plain", False)):
         off: NDArray[np.float64] = np.array(

@@ -186,9 +186,9 @@ def fly(
         while len(under_way) >= min(ahead, console.max_open_frames):
             under_way[0][1].result(timeout=60.0)
             under_way = [item for item in under_way if not item[1].done()]
-        asked_s = time.monotonic()
+        requested_at_s = time.monotonic()
         frame_id, future = renderer.request(view_of(number))
-        wanted[frame_id] = asked_s
+        wanted[frame_id] = requested_at_s
 
         def note(done: Future[Picture], frame_id: int = frame_id) -> None:
             if done.exception() is None:

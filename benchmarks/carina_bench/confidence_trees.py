@@ -77,18 +77,18 @@ def _rotation(axis: Points) -> NDArray[np.float64]:
 def _cut(tree: AirwayTree, rng: np.random.Generator, amount: float) -> AirwayTree:
     deepest = int(rng.integers(4, 9)) if amount > 0.0 and rng.random() < 0.5 else 99
     share = amount * rng.random() / 3.0
-    gone: set[int] = set()
+    removed: set[int] = set()
     inner = [b.id for b in tree.branches if 3 <= b.generation <= 5]
     lost = rng.choice(inner, round(4.0 * amount * rng.random()), replace=False).tolist()
     for b in tree.branches:
         is_tip = not b.children and b.generation > 3
-        if b.parent in gone or b.id in lost or b.generation > deepest or (is_tip and rng.random() < share):
-            gone.add(b.id)
+        if b.parent in removed or b.id in lost or b.generation > deepest or (is_tip and rng.random() < share):
+            removed.add(b.id)
     return AirwayTree(
         tuple(
-            dataclasses.replace(b, children=tuple(c for c in b.children if c not in gone))
+            dataclasses.replace(b, children=tuple(c for c in b.children if c not in removed))
             for b in tree.branches
-            if b.id not in gone
+            if b.id not in removed
         )
     )
 

@@ -87,29 +87,29 @@ def removed_branches(volume: Volume, airways: Airways, num: int, seed: int, *, w
     else:
         stems = [b for b in tree.tips() if b.generation >= 2 and b.length_mm >= 4.0 and (b.confidence or 1.0) >= SURE]
         stems = [stems[n] for n in rng.permutation(len(stems))[: max(3, (3 * len(stems)) // 4)]]
-    gone: dict[int, Branch] = {}
+    removed: dict[int, Branch] = {}
     for stem in stems:
         below = [stem]
         for branch in below:
             below.extend(tree.branch(child) for child in branch.children)
-        gone.update({branch.id: branch for branch in below})
+        removed.update({branch.id: branch for branch in below})
     points = np.concatenate([b.points for b in tree.branches])
     radius = np.concatenate([b.radius for b in tree.branches])
     owner = np.concatenate([np.full(len(b.points), b.id) for b in tree.branches])
     mask = airways.lumen_zyx.copy()
     voxels = np.argwhere(mask)[:, ::-1]
     centres = volume.to_lps(voxels.astype(np.float64))
-    is_gone = np.zeros(len(voxels), dtype=bool)
-    wanted = np.array(sorted(gone))
+    is_removed = np.zeros(len(voxels), dtype=bool)
+    wanted = np.array(sorted(removed))
     for first in range(0, len(voxels), 4000):
         part = slice(first, first + 4000)
         off = np.sqrt(sum((centres[part, None, a] - points[None, :, a]) ** 2 for a in range(3))) - radius[None]
-        is_gone[part] = np.isin(owner[off.argmin(axis=1)], wanted)
-    i, j, k = voxels[is_gone].T
+        is_removed[part] = np.isin(owner[off.argmin(axis=1)], wanted)
+    i, j, k = voxels[is_removed].T
     mask[k, j, i] = 0
     opened = find_airways(volume, lumen_zyx=mask, root_lps=airways.root_lps)
     # A branch of low confidence may not be an airway, so no point is drawn in it.
-    branches = [b for b in gone.values() if b.confidence is None or b.confidence >= SURE]
+    branches = [b for b in removed.values() if b.confidence is None or b.confidence >= SURE]
     places = []
     for _ in range(num):
         branch = branches[rng.integers(len(branches))]

@@ -87,7 +87,7 @@ def _drive(file: Path, home: Path) -> dict[str, Any]:
             except json.JSONDecodeError:
                 continue
         else:
-            raise CarinaError("the server ended before it said where it is", code="machine.benchmark")
+            raise CarinaError("the server ended before it stated its address", code="machine.benchmark")
         idle = _peak_bytes(process.pid)
         started = time.monotonic()
         seen = _look_at_everything(access)

@@ -54,7 +54,7 @@ class Tube:
     filled_from: Floats | None = None
     """Level (n,) of fluid in radii above the axis: 1 fills the lumen, 0 fills half of it, -1 leaves it empty."""
     true_from: int = 0
-    """Index of the first point outside the parent's lumen; earlier points are no part of the true centreline."""
+    """Index of the first point outside the parent's lumen; earlier points are not part of the true centreline."""
     thickness_mm: float | None = None
     """Thickness of the wall, mm; None computes the thickness from the radius of the lumen (:func:`wall_mm`)."""
 

@@ -351,7 +351,7 @@ def run(quick: bool, say: Say, folder: Path | None = None) -> list[Row]:
 def main() -> None:
     """Run the command line: compare the scores in all phantoms and print the rows."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("folder", type=Path, help="Where the CTs with their airways are kept.")
+    parser.add_argument("folder", type=Path, help="Folder of the stored CTs and their airways.")
     parser.add_argument("--quick", action="store_true", help="Two phantoms.")
     options = parser.parse_args()
     for row in run(options.quick, print, options.folder):

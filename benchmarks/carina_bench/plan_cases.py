@@ -146,9 +146,9 @@ class PlanCase:
 
 def found_case(folder: Path | None, name: str, make: Callable[[], PlanCase], say: Say) -> PlanCase:
     """Return the case ``name`` with its found airways and their wall, from ``folder`` if they are stored there."""
-    kept = None if folder is None else folder / f"{name}.pickle"
-    if kept is not None and kept.exists():
-        found, vertices, triangles = pickle.loads(kept.read_bytes())
+    stored = None if folder is None else folder / f"{name}.pickle"
+    if stored is not None and stored.exists():
+        found, vertices, triangles = pickle.loads(stored.read_bytes())
         read: PlanCase = found
         return replace(read, wall=WallField.from_mesh(vertices, triangles))
     made = make()
@@ -156,11 +156,11 @@ def found_case(folder: Path | None, name: str, make: Callable[[], PlanCase], say
     airways = find_airways(made.volume, progress=False)
     mesh = lumen_mesh(made.volume, airways)
     found = replace(made, airways=airways)
-    if kept is not None:
-        kept.parent.mkdir(parents=True, exist_ok=True)
-        draft = kept.with_suffix(".draft")
+    if stored is not None:
+        stored.parent.mkdir(parents=True, exist_ok=True)
+        draft = stored.with_suffix(".draft")
         draft.write_bytes(pickle.dumps((found, mesh.vertices_lps, mesh.triangles)))
-        draft.rename(kept)
+        draft.rename(stored)
     return replace(found, wall=WallField.from_mesh(mesh.vertices_lps, mesh.triangles))
 
 

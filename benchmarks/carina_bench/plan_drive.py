@@ -49,7 +49,7 @@ TUBE_EFFORT, PHANTOM_EFFORT = 4000.0, 200_000.0
 class TubeDrive:
     """Stated chance of a drive through one tube, and whether the drive passed."""
 
-    told: float
+    stated: float
     passed: bool
 
 
@@ -117,14 +117,14 @@ def drive_in_a_tube(rng: np.random.Generator, kind: str) -> TubeDrive:
     spare_mm = {"diameter": sigma * rng.uniform(-1.8, 1.8), "bend": 1.6, "fork": 3.0}[kind]
     room_mm = scope.fit_mm + spare_mm
     if kind != "diameter":
-        asked = min(bend_deg, math.degrees(50.0 / bend_radius_mm))
-        lever = asked + BEND_SIGMA_DEG * rng.uniform(-1.8, 1.8)
+        bend_limit_deg = min(bend_deg, math.degrees(50.0 / bend_radius_mm))
+        lever = bend_limit_deg + BEND_SIGMA_DEG * rng.uniform(-1.8, 1.8)
         scope = replace(scope, flexion_deg=(lever, lever))
     tree, field, points = _tube(0.5 * room_mm, bend_deg, bend_radius_mm, forks=kind == "fork")
     way = DriveWay(tree, _route(1, points[-16], 0.5 * (len(points) - 16)), field)
     if kind == "diameter":
         error_mm = DEVIATIONS_90 * ROOM_SHARE * SPACING_MM
-        told = diameter_check(RouteWidth(room_mm, error_mm, 50.0), scope, errors=True).share
+        stated = diameter_check(RouteWidth(room_mm, error_mm, 50.0), scope, errors=True).share
         true_room_mm = room_mm + rng.normal(0.0, ROOM_SHARE * SPACING_MM)
         driven = replace(scope, tip_mm=scope.tip_mm + FIT_MARGIN_MM + rng.normal(0.0, EXCESS_SIGMA_MM))
         radius_mm = 0.5 * true_room_mm
@@ -137,22 +137,22 @@ def drive_in_a_tube(rng: np.random.Generator, kind: str) -> TubeDrive:
     else:
         figures = bend_check(way, scope, errors=True)
         found = search_drive(way, field, scope, effort=TUBE_EFFORT)
-        told = lever_check(way, field, scope, figures, found, effort=TUBE_EFFORT).share
+        stated = lever_check(way, field, scope, figures, found, effort=TUBE_EFFORT).share
         lever = max((scope.flexion_deg or (0.0, 0.0))[0] + rng.normal(0.0, BEND_SIGMA_DEG), 1.0)
         driven = replace(scope, flexion_deg=(lever, lever))
-    assert told is not None
-    return TubeDrive(told, search_drive(way, field, driven, effort=TUBE_EFFORT).arrived)
+    assert stated is not None
+    return TubeDrive(stated, search_drive(way, field, driven, effort=TUBE_EFFORT).arrived)
 
 
 def calibration_table(drives: list[TubeDrive], edges: tuple[float, ...] = (0.0, 0.1, 0.3, 0.5, 0.7, 0.9, 1.0)) -> str:
     """Return a table of the stated chances, in bins with these edges, and the share of the drives that passed."""
-    rows = ["told          drives  told mean  passed"]
+    rows = ["stated        drives  mean       passed"]
     for low, high in itertools.pairwise(edges):
-        inside = [one for one in drives if low <= one.told < high or (high == 1.0 and one.told == 1.0)]
+        inside = [one for one in drives if low <= one.stated < high or (high == 1.0 and one.stated == 1.0)]
         if inside:
-            told = float(np.mean([one.told for one in inside]))
+            stated = float(np.mean([one.stated for one in inside]))
             passed = float(np.mean([one.passed for one in inside]))
-            rows.append(f"{low:.1f} to {high:.1f}    {len(inside):5d}     {told:6.2f}  {passed:6.2f}")
+            rows.append(f"{low:.1f} to {high:.1f}    {len(inside):5d}     {stated:6.2f}  {passed:6.2f}")
     return "\n".join(rows)
 
 

@@ -365,7 +365,7 @@ def _refined(
 
 
 def _on_arc(curvature: Floats, length_mm: Floats) -> tuple[Floats, Floats]:
-    """Return how far a circle leads aside and ahead at a length from its start, mm."""
+    """Return the sideways and the forward displacement along an arc of a length from its start, mm."""
     angle = curvature * length_mm
     straight = angle < 1e-9
     safe = np.where(straight, 1.0, curvature)

@@ -359,11 +359,11 @@ def _print_implanted(place: Path, num: int, seed: int) -> None:
                 f"{len(nodule.notes)} notes, {time.process_time() - began:.1f} s",
                 flush=True,
             )
-        apart, told = np.abs(off), np.array(stated)
+        apart, stated_errors = np.abs(off), np.array(stated)
         print(
             f"{kind}: {num}, refused {refused}, within 15 %: {(apart <= WIDENED).mean():.2f}, "
             f"median {100.0 * np.median(apart):.1f} %, worst {100.0 * apart.max():.0f} %, "
-            f"stated {100.0 * np.median(told):.0f} %, held {(apart <= told).mean():.2f}",
+            f"stated {100.0 * np.median(stated_errors):.0f} %, held {(apart <= stated_errors).mean():.2f}",
             flush=True,
         )
 

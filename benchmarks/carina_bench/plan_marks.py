@@ -126,7 +126,7 @@ def apart(one: float, other: float) -> float:
 
 
 def marks_summary(pictures: Iterable[tuple[Rgb, float | None, bool]]) -> dict[str, Any]:
-    """Return how many pictures agree with themselves and with what their captions state.
+    """Return the numbers of pictures that agree with themselves and with their captions.
 
     Parameters
     ----------

@@ -54,7 +54,7 @@ class Figures:
     median_off: float
     p90_off: float
     worst_off: float
-    told: float
+    stated: float
     """Median half-width of the stated interval of the volume, as a share of the volume."""
     held: float
     seconds: float
@@ -65,7 +65,7 @@ class _Tally:
     def __init__(self, kind: str) -> None:
         self.kind = kind
         self.off: list[float] = []
-        self.told: list[float] = []
+        self.stated: list[float] = []
         self.seconds: list[float] = []
         self.refused = 0
 
@@ -78,11 +78,11 @@ class _Tally:
             return ()
         self.seconds.append(time.process_time() - began)
         self.off.append(nodule.volume_mm3 / true_mm3 - 1.0)
-        self.told.append(nodule.volume_error_mm3 / true_mm3)
+        self.stated.append(nodule.volume_error_mm3 / true_mm3)
         return nodule.touches
 
     def figures(self) -> Figures:
-        off, told = np.abs(self.off), np.array(self.told)
+        off, stated = np.abs(self.off), np.array(self.stated)
         limit = LIMITS.get(self.kind, OTHER_LIMIT)
         num = len(off) + self.refused
         return Figures(
@@ -95,8 +95,8 @@ class _Tally:
             median_off=float(np.median(off)) if off.size else float("nan"),
             p90_off=float(np.percentile(off, 90.0)) if off.size else float("nan"),
             worst_off=float(off.max()) if off.size else float("nan"),
-            told=float(np.median(told)) if off.size else float("nan"),
-            held=float((off <= told).mean()) if off.size else float("nan"),
+            stated=float(np.median(stated)) if off.size else float("nan"),
+            held=float((off <= stated).mean()) if off.size else float("nan"),
             seconds=float(np.median(self.seconds)) if self.seconds else float("nan"),
         )
 
@@ -138,7 +138,7 @@ def phantom_figures(seeds: range, say: Callable[[str], None]) -> Iterator[Figure
         touches = tally.click(volume, at, true_mm3)
         own = touched if "vessel" in touches else free
         own.off += tally.off
-        own.told += tally.told
+        own.stated += tally.stated
         own.seconds += tally.seconds
         own.refused += tally.refused
         thick.click(_thicker(volume), at, true_mm3)
@@ -161,26 +161,26 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--quick", action="store_true", help="a few of each")
     parser.add_argument("--json", type=Path, help="write the figures there")
-    asked = parser.parse_args()
+    options = parser.parse_args()
 
     def say(words: str) -> None:
         print(words, file=sys.stderr, flush=True)
 
     rows = []
-    print("kind                  num  within limit     median    p90  worst   told  held")
+    print("kind                  num  within limit     median    p90  worst stated  held")
     for figures in chain(
-        painted_figures(QUICK_SCENES if asked.quick else SCENES, say),
-        phantom_figures(QUICK_PHANTOMS if asked.quick else PHANTOMS, say),
+        painted_figures(QUICK_SCENES if options.quick else SCENES, say),
+        phantom_figures(QUICK_PHANTOMS if options.quick else PHANTOMS, say),
     ):
         rows.append(asdict(figures))
         print(
             f"{figures.kind:20s} {figures.num:4d} {figures.within:7.2f} of {100 * figures.limit:2.0f} % "
             f"{100 * figures.median_off:6.1f}% {100 * figures.p90_off:5.1f}% {100 * figures.worst_off:5.1f}% "
-            f"{100 * figures.told:5.1f}% {figures.held:5.2f}  refused {figures.refused}, {figures.seconds:.2f} s",
+            f"{100 * figures.stated:5.1f}% {figures.held:5.2f}  refused {figures.refused}, {figures.seconds:.2f} s",
             flush=True,
         )
-    if asked.json is not None:
-        asked.json.write_text(json.dumps(rows, indent=1), encoding="utf-8")
+    if options.json is not None:
+        options.json.write_text(json.dumps(rows, indent=1), encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -83,7 +83,7 @@ def vessel_row(known: Known, num: int = NUM_LINES) -> Row:
     tips = np.concatenate([b.points[b.radius > 0.8] for b in known.tree.branches if b.generation >= 2])
     found_of = dict.fromkeys(CLASSES_MM, 0)
     all_of = dict(found_of)
-    right = told = 0
+    right = num_reported = 0
     pairs: list[tuple[float, float]] = []
     seconds = []
     while len(pairs) < num:
@@ -116,7 +116,7 @@ def vessel_row(known: Known, num: int = NUM_LINES) -> Row:
         k, j, i = np.nonzero(around.vessel)
         points = np.stack([i, j, k], axis=1) * around.box.step_mm + around.box.lps_from_ijk[:3, 3]
         points = points[_read(judged, grid, points) & _holds(grid, points)]
-        told += len(points)
+        num_reported += len(points)
         right += int((_read(away, grid, points) <= NEAR_MM).sum())
     true, found = np.array(pairs).T
     near = true <= 5.0
@@ -127,7 +127,7 @@ def vessel_row(known: Known, num: int = NUM_LINES) -> Row:
         "lines": len(pairs),
         "recall": {f"{a}-{b} mm": round(found_of[a, b] / max(all_of[a, b], 1), 3) for a, b in CLASSES_MM},
         "num": {f"{a}-{b} mm": all_of[a, b] for a, b in CLASSES_MM},
-        "precision": round(right / max(told, 1), 3),
+        "precision": round(right / max(num_reported, 1), 3),
         "line_off_mm": {"median": round(float(np.median(off)), 2), "90 %": round(float(np.quantile(off, 0.9)), 2)},
         "line_bias_mm": round(float(np.median(signed)), 2),
         "danger_missed": f"{int((found[true <= 1.0] > 2.0).sum())} of {int((true <= 1.0).sum())}",
@@ -169,7 +169,7 @@ def lungs_row(known: Known, num: int = NUM_LINES) -> Row:
     shown_mm = _away_mm(mask.inside_zyx, mask.spacing_mm)
     found_of = dict.fromkeys(CLASSES_MM, 0)
     all_of = dict(found_of)
-    right = told = 0
+    right = num_reported = 0
     rng = np.random.default_rng(6)
     tips = np.concatenate([b.points[b.radius > 0.8] for b in known.tree.branches if b.generation >= 2])
     half = 20.0
@@ -187,14 +187,14 @@ def lungs_row(known: Known, num: int = NUM_LINES) -> Row:
         points = shown.to_lps(np.argwhere(shown.hu_zyx)[:, ::-1].astype(np.float64))
         points = points[_holds(grid, points)]
         points = points[_read(judged, grid, points) != 0]
-        told += len(points)
+        num_reported += len(points)
         right += int((_read(_away(vessels, grid), grid, points) <= NEAR_MM).sum())
     return {
         "case": known.name,
         "ml": round(mask.ml, 1),
         "recall": {f"{a}-{b} mm": round(found_of[a, b] / max(all_of[a, b], 1), 3) for a, b in CLASSES_MM},
         "num": {f"{a}-{b} mm": all_of[a, b] for a, b in CLASSES_MM},
-        "precision": round(right / max(told, 1), 3),
+        "precision": round(right / max(num_reported, 1), 3),
         "seconds": round(seconds, 1),
     }
 
@@ -261,14 +261,14 @@ def fissures_row(known: Known) -> Row:
     assert found.fissure is not None
     alone = nearest_lobe(found.label_zyx > 0, found.lps_from_ijk, known.tree)
     seen = found.fissure
-    told = np.argwhere(seen.mask)[:, ::-1] * seen.box.step_mm + seen.box.lps_from_ijk[:3, 3]
+    seen_lps = np.argwhere(seen.mask)[:, ::-1] * seen.box.step_mm + seen.box.lps_from_ijk[:3, 3]
     drawn = known.volume.to_lps(np.argwhere(known.fissures)[::13, ::-1].astype(np.float64))
     far = _away(known.fissures, known.volume)
     to_seen = _at(_away_mm(seen.mask, seen.box.step_mm), seen.box.lps_from_ijk, seen.box.step_mm, drawn)
     return {
         "case": known.name,
         "cpu_s": round(spent, 1),
-        "precision_2mm": round(float((_read(far, known.volume, told) <= 2.0).mean()), 3),
+        "precision_2mm": round(float((_read(far, known.volume, seen_lps) <= 2.0).mean()), 3),
         "recall_2mm": round(float((to_seen <= 2.0).mean()), 3),
         "border_off_mm": {
             what: [
@@ -482,22 +482,22 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("cases", nargs="*")
     parser.add_argument("--keep", type=Path, default=Path("around-cases"))
     parser.add_argument("--lines", type=int, default=NUM_LINES)
-    asked = parser.parse_args(arguments)
+    parsed = parser.parse_args(arguments)
     usual = {
         "vessels": ["phantom-3", "Patient1"],
         "lungs": ["phantom-3", "Patient1"],
         "fissures": ["Patient1"],
         "lobes": ["lobes-Patient1", "lobes-Patient2", "lobes-Patient3"],
     }
-    for name in asked.cases or usual[asked.what]:
-        if asked.what == "lobes":
+    for name in parsed.cases or usual[parsed.what]:
+        if parsed.what == "lobes":
             row = lobes_row(name)
-        elif asked.what == "fissures":
-            row = fissures_row(known_case(name, asked.keep))
-        elif asked.what == "lungs":
-            row = lungs_row(known_case(name, asked.keep), asked.lines)
+        elif parsed.what == "fissures":
+            row = fissures_row(known_case(name, parsed.keep))
+        elif parsed.what == "lungs":
+            row = lungs_row(known_case(name, parsed.keep), parsed.lines)
         else:
-            row = vessel_row(known_case(name, asked.keep), asked.lines)
+            row = vessel_row(known_case(name, parsed.keep), parsed.lines)
         print(json.dumps(row), flush=True)
 
 

@@ -26,7 +26,7 @@ hit each target:
 
 - ``could`` (``--holds``, seconds for a target): the exhaustive geometric search of `carina_bench.plan_holds`, which
   shares no code with the plan, the drive or the mechanics. It ignores whether a drive leads to the hold.
-- ``laid`` (``--laid``, half a minute for a target): holds of the elastic model, laid to places of the true airways
+- ``laid`` (``--laid``, half a minute for a target): holds of the elastic model, at places of the true airways
   without a drive. It shares the scope's mechanics with the drive and misses poses that only a drive takes.
 
 A first route is ``accepted`` if the geometric search also finds such a hold with the tip near the end of the route's
@@ -73,9 +73,9 @@ SCOPE, TOOL = replace(scope_preset("ultrathin"), channel_mm=2.0), "needle-21g"
 HOLD_STEP_MM, NUM_ROLLS, LEVERS_DEG = 2.0, 12, (0.0, 30.0, 60.0, 90.0, 120.0, 160.0, 210.0)
 """Distance between two places, number of rolls and lever settings of the search over holds."""
 LAID_MM, NUM_FINER, FINER_DEG, NEARLY_DEG = 3.0, 3, (-20.0, -10.0, 0.0, 10.0, 20.0), 20.0
-"""Search near a place: distance within which the scope is laid, number of refined holds, and steps in degrees.
+"""Search near a place: largest distance of the inserted tip, number of refined positions, and steps in degrees.
 
-Holds of a place are refined if one points past the target's edge by less than the last angle.
+Positions at a place are refined if one of them points past the target's edge by less than the last angle.
 """
 NEAR_TIP_MM = 5.0
 """Distance in mm from the tip after a route's drive within which the geometric search must find a hold."""
@@ -220,9 +220,9 @@ def accepted(case: PlanCase, target: Target, plan: Plan) -> bool:
 
 
 def held(case: PlanCase, target: Target, scope: ScopePreset, reach_mm: float, wall: WallField) -> bool:
-    """Return whether a hold of the scope, laid to some place of the true airways, hits the true nodule.
+    """Return whether the needle hits the true nodule for any position of the scope in the true airways.
 
-    Places are `HOLD_STEP_MM` apart on all branches within reach that are wide enough.
+    The tested places are `HOLD_STEP_MM` apart on all branches within reach that are wide enough.
     """
     truth, centre = case.truth, np.array(target.centre_lps)
     for branch in range(len(truth.parents)):
@@ -247,7 +247,7 @@ def held(case: PlanCase, target: Target, scope: ScopePreset, reach_mm: float, wa
 
 
 def _holds_hit(drive: ScopeDrive, target: Target, reach_mm: float) -> bool:
-    """Return whether a roll and a lever setting of a laid scope hit a target; the best ones of a grid are refined."""
+    """Return whether a roll and a lever setting of an inserted scope hit a target; the best of a grid are refined."""
     insertion_mm, centre = drive.state.insertion_mm, np.array(target.centre_lps)
 
     def tip_at(roll_rad: float, lever_deg: float) -> Floats:
@@ -307,7 +307,7 @@ def judged(case: PlanCase, say: Say, *, with_holds: bool = False, with_laid: boo
             continue
         reach_mm = plan.tool.reach_mm
         row["reachable"] = is_reachable(case.truth, target, scope, reach_mm)
-        row |= _told(plan)
+        row |= _stated_row(plan)
         flight = Flight(False, plan.why or "")
         if plan.routes:
             flight = flown(case, target, plan.routes[0], scope, reach_mm)
@@ -328,7 +328,7 @@ def judged(case: PlanCase, say: Say, *, with_holds: bool = False, with_laid: boo
         yield row
 
 
-def kept_rows(
+def stored_rows(
     folder: Path | None,
     name: str,
     make: Callable[[], PlanCase],
@@ -338,9 +338,9 @@ def kept_rows(
     with_laid: bool = False,
 ) -> list[Row]:
     """Return the rows of the case ``name`` that the same code has stored in ``folder``; else judge and store them."""
-    kept = None if folder is None else folder / "rows" / f"{name}.json"
-    if kept is not None and kept.exists():
-        found = json.loads(kept.read_text())
+    stored = None if folder is None else folder / "rows" / f"{name}.json"
+    if stored is not None and stored.exists():
+        found = json.loads(stored.read_text())
         if found["code"] == CODE and _is_searched(found["rows"], with_holds, with_laid):
             rows: list[Row] = found["rows"]
             return rows
@@ -354,11 +354,11 @@ def kept_rows(
         f"{name}: {arrived} of {reachable} reachable arrive; {len(rows)} targets; {found_s:.0f} s of the processor to "
         f"make or read the case, {planned_s:.0f} to plan"
     )
-    if kept is not None:
-        kept.parent.mkdir(parents=True, exist_ok=True)
-        draft = kept.with_suffix(".draft")
+    if stored is not None:
+        stored.parent.mkdir(parents=True, exist_ok=True)
+        draft = stored.with_suffix(".draft")
         draft.write_text(json.dumps({"code": CODE, "rows": rows}, indent=0))
-        draft.rename(kept)
+        draft.rename(stored)
     return rows
 
 
@@ -370,7 +370,7 @@ def _is_searched(rows: Sequence[Row], with_holds: bool, with_laid: bool) -> bool
     )
 
 
-def _told(plan: Plan) -> Row:
+def _stated_row(plan: Plan) -> Row:
     if not plan.routes:
         return {"outlook": "no route"}
     first = plan.routes[0]
@@ -477,7 +477,7 @@ def run(
     data = load_settings().data_dir
     if seeds is None:
         seeds = PHANTOM_SEEDS[:2] if quick else PHANTOM_SEEDS
-    rows_of = partial(kept_rows, folder, say=say, with_holds=with_holds, with_laid=with_laid)
+    rows_of = partial(stored_rows, folder, say=say, with_holds=with_holds, with_laid=with_laid)
     phantoms: list[Row] = []
     for seed in seeds:
         phantoms += rows_of(f"phantom-{seed}", partial(phantom_case, seed, num=nodules))
@@ -498,7 +498,7 @@ def run(
 def main() -> None:
     """Run the command line: judge the routes of all cases and print the rows."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("folder", type=Path, help="Where the CTs with their airways are kept.")
+    parser.add_argument("folder", type=Path, help="Folder of the stored CTs and their airways.")
     parser.add_argument("--quick", action="store_true", help="One patient and two phantoms.")
     parser.add_argument("--holds", action="store_true", help="Search holds that hit each target by geometry.")
     parser.add_argument("--laid", action="store_true", help="Also search holds of the elastic model (slow).")

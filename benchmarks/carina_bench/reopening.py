@@ -128,7 +128,7 @@ class _Watched:
         self._began = (0.0, 0.0)
         self._case_number = 0
         self._all_seen = threading.Event()
-        self._pump = FramePump(session.scene, self._deliver, lambda _told: None, clock=time.monotonic)
+        self._pump = FramePump(session.scene, self._deliver, lambda _message: None, clock=time.monotonic)
         self._pump.set_layout(LAYOUT)
         session.subscribe(self._hear)
         self._thread = threading.Thread(target=self._pump.run, daemon=True)

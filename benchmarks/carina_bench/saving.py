@@ -118,7 +118,7 @@ def _flown(volume: Volume, records: CaseRecords | None, seconds: float) -> tuple
         if header["view"] == LEAD_VIEW:
             times_s.append(time.perf_counter())
 
-    pump = FramePump(session.scene, deliver, lambda _told: None, clock=time.monotonic)
+    pump = FramePump(session.scene, deliver, lambda _message: None, clock=time.monotonic)
     pump.set_layout(LAYOUT)
     pump.set_rate(RATE_HZ)
     session.subscribe(lambda _event: pump.content_changed())

@@ -31,7 +31,7 @@ TRANSFER = TransferFunction(
 )
 """Transfer function: clear air, a ramp of 350 HU around the half-maximum, opaque tissue of two colours.
 
-It is no preset of Carina, so that figures of different versions can be compared.
+It is not a preset of Carina, so that figures of different versions can be compared.
 """
 
 

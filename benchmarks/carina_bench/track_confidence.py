@@ -80,14 +80,14 @@ def _rows(judged: Sequence[Judged], what: str) -> Iterator[Row]:
             continue
         yield {
             "what": f"expected calibration error of {what}",
-            "case": f"{kind}, {stated.sum()} told",
+            "case": f"{kind}, {stated.sum()} stated",
             "figure": calibration_error(shares[stated], hits[stated]),
             "limit": MAX_ERROR if kind == "all" else None,
             "better": "lower",
         }
         if what == "names":
             yield {
-                "what": f"right segments that are told with {SURE:g} or more",
+                "what": f"right segments that are stated with {SURE:g} or more",
                 "case": kind,
                 "figure": float((shares[hits > 0] >= SURE).mean()),
                 "limit": SURE_SHARE if kind == "good CTs" else None,
@@ -95,13 +95,13 @@ def _rows(judged: Sequence[Judged], what: str) -> Iterator[Row]:
 
 
 def _unlike_row(num: int) -> Row:
-    """Return the row of ``num`` trees that are no airway trees: random forks, and vessels."""
+    """Return the row of ``num`` trees that are not airway trees: random forks, and vessels."""
     trees = [random_tree(np.random.default_rng(seed), two_lungs=seed % 2 == 1) for seed in range(num)]
     for seed in range(max(num // 4, 1)):
         trees += [vessel_tree(true_tree(seed), np.random.default_rng(seed), is_vein=vein) for vein in (True, False)]
     fits = [segment_readings(tree)[0] for tree in trees]
     return {
-        "what": "random trees and vessels that are said to be unlike a human tree",
+        "what": "random trees and vessels that are reported as unlike a human tree",
         "case": f"{len(trees)} trees",
         "figure": float(np.mean([fit is not None and fit < POOR_FIT for fit in fits])),
         "limit": 0.95,
@@ -249,7 +249,7 @@ def _collected(folder: Path, part: str, say: Say) -> tuple[list[list[Any]], list
 def main() -> None:
     """Run the command line: fit the maps on some seeds, judge them on others, and write the diagram."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("folder", type=Path, help="Where what was collected is kept.")
+    parser.add_argument("folder", type=Path, help="Folder of the collected data.")
     parser.add_argument("--svg", type=Path, help="Where the reliability diagram goes (default: none).")
     options = parser.parse_args()
     print(f"carina {carina.__version__}")

@@ -194,7 +194,7 @@ def _lobe_row(case: str, data_dir: Path | None, folder: str) -> Row:
         **row,
         "figure": lengths["right"] / judged,
         "note": f"{lengths['right']:.0f} mm right, {lengths['wrong']:.0f} mm in another lobe, "
-        f"{lengths['none']:.0f} mm told none (trunks); {lengths['outside']:.0f} mm in no lobe's mask",
+        f"{lengths['none']:.0f} mm without a name (trunks); {lengths['outside']:.0f} mm in no lobe's mask",
     }
 
 

@@ -106,7 +106,7 @@ class Case:
     """Ends (n, 3) of a phantom's airways, LPS mm; None for other cases.
 
     The airways of the last generation end in a closed wall, the widest with a diameter of 6 mm. A stump stated there is
-    true, but it is no finding that must be stated.
+    true, but it is not a finding that must be stated.
     """
 
 

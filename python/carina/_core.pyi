@@ -889,7 +889,7 @@ class Enclosures:
         closed: float,
         cancel: Callable[[], bool] | None = None,
     ) -> NDArray[np.uint16] | None:
-        """Find the path with the most wall round it from a lumen that a path reaches: (n, 3) voxels, or None.
+        """Find the path with the most wall round it from the lumen to a voxel: (n, 3) voxels, or None.
 
         A path from one of the (n, 3) voxels ``tips_ijk`` is preferred if its cost exceeds that of the best path by at
         most ``tip_allowance``.

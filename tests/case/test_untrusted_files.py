@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from sample_case import ActiveCase, assert_same_moment, load_lazy_parts, save_steps, source_of
 
 from carina.case import CaseFile, CaseFileError, migrate, rescued
-from carina.case.file import migrate_live
+from carina.case.migration import migrate_live
 from carina.errors import CarinaError
 
 

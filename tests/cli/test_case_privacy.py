@@ -102,7 +102,7 @@ def needles() -> dict[bytes, str]:
     return {form.encode(encoding): secret for form, secret in forms for encoding in ENCODINGS}
 
 
-def told_in(path: Path) -> set[str]:
+def names_in(path: Path) -> set[str]:
     return {secret for content in contents_of(path) for needle, secret in needles().items() if needle in content}
 
 
@@ -135,11 +135,11 @@ def test_privacy_check_detects_patient_data_in_slices_and_compressed_blobs(saved
         connection.execute("CREATE TABLE one (a)")
         connection.execute("INSERT INTO one VALUES (?)", (zlib.compress(b'"M\\u00fcller"'),))
         connection.commit()
-    assert told_in(tmp_path / "told.db") == {"Müller"}
+    assert names_in(tmp_path / "told.db") == {"Müller"}
 
 
 def test_case_saved_under_a_name_contains_no_patient_data(saved):
-    assert told_in(saved[1] / "beside.carina") == set()
+    assert names_in(saved[1] / "beside.carina") == set()
 
 
 def test_case_that_contains_its_scan_contains_no_patient_data(saved, carina, tmp_path):
@@ -148,4 +148,4 @@ def test_case_that_contains_its_scan_contains_no_patient_data(saved, carina, tmp
         packed = tmp_path / f"{name}.carina"
         assert carina("case", "pack", path, "-o", packed).code == 0
         assert packed.stat().st_size > path.stat().st_size
-        assert told_in(packed) == set()
+        assert names_in(packed) == set()

@@ -261,10 +261,10 @@ def test_picture_stops_when_its_client_disconnects_and_a_waiting_one_is_not_rend
     gone = set()
 
     async def request(client, **given):
-        async def is_gone():
+        async def is_disconnected():
             return client in gone
 
-        await pictures.answer("axial", query(**given), is_gone=is_gone)
+        await pictures.answer("axial", query(**given), is_disconnected=is_disconnected)
 
     async def run():
         first = asyncio.ensure_future(request("first"))

@@ -303,12 +303,12 @@ def test_renderer_that_fails_during_a_frame_loses_no_picture(case, cluster):
     expected = made.truth.render(_airway(case)).rgb
     made.lanes[2].trouble.raises = ConnectionError("gone")
 
-    def num_told() -> int:
+    def num_reported() -> int:
         assert np.array_equal(made.renderer.render(_airway(case)).rgb, expected)
         return sum("lane-2 is not responding" in n for n in made.console.status().notices)
 
-    _wait(made, num_told)
-    assert num_told() == num_told() == 1
+    _wait(made, num_reported)
+    assert num_reported() == num_reported() == 1
     made.lanes[2].trouble.raises = None
     _wait_ready(made)
 

@@ -51,7 +51,7 @@ class PlayedRay:
     actors: list[Actor] = field(default_factory=list)
     may_start: threading.Event = field(default_factory=threading.Event)
     """Event for which each request for a renderer waits; it is set at the start of a test."""
-    num_asked: int = 0
+    num_requests: int = 0
 
     def __post_init__(self) -> None:
         self.may_start.set()
@@ -74,7 +74,7 @@ class PlayedRay:
         )
 
     def _actor(self, node: str) -> Actor:
-        self.num_asked += 1
+        self.num_requests += 1
         assert self.may_start.wait(60.0)
         self.actors.append(Actor(node))
         return self.actors[-1]
@@ -148,7 +148,7 @@ def test_renderer_still_starting_on_close_releases_its_machine(ray, join, versio
 def test_renderer_requested_while_the_console_closes_is_stopped(ray, join):
     ray.may_start.clear()
     _, cluster = join()
-    wait_for(lambda: ray.num_asked == 1)
+    wait_for(lambda: ray.num_requests == 1)
     closing = threading.Thread(target=cluster.close)
     closing.start()
     wait_for(cluster._stopping.is_set)

@@ -173,11 +173,11 @@ def test_wrong_replies_of_a_renderer_are_reported_and_not_shown(whole, trouble, 
     flight.cluster.ray.get(flight.lane(name)._handle.misbehave.remote(trouble))
     try:
 
-        def is_told() -> bool:
+        def is_reported() -> bool:
             notices = flight.console.status().notices
             return any(f"{name} returned an invalid reply" in n and text in n for n in notices)
 
-        _fly(flight, 0.5, is_told)
+        _fly(flight, 0.5, is_reported)
     finally:
         flight.cluster.ray.get(flight.lane(name)._handle.misbehave.remote())
 

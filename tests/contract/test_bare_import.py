@@ -10,7 +10,7 @@ import carina
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = {page.stem for page in (ROOT / "docs" / "api").glob("*.md")}
-# Packages that depend on Carina have pages in the same documentation but are no part of Carina.
+# Packages that depend on Carina have pages in the same documentation but are not part of Carina.
 DOCUMENTED = sorted(PAGES - {path.name for path in ROOT.glob("packages/*/python/*")})
 
 

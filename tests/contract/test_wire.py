@@ -47,6 +47,18 @@ def test_invalid_sample_messages_are_refused_with_a_code_and_a_message(path):
         PARSERS[path.parent.name](path.read_bytes())
     assert refusal.value.code.startswith("protocol.")
     assert len(str(refusal.value)) > 15
+    assert "  " not in str(refusal.value)
+
+
+@pytest.mark.parametrize("path", samples("invalid"), ids=label)
+def test_invalid_sample_messages_are_refused_for_the_defect_in_their_name(path):
+    with pytest.raises(ProtocolError) as refusal:
+        PARSERS[path.parent.name](path.read_bytes())
+    name = path.stem
+    # A sample of an earlier version would be refused because of its type or its fields.
+    assert ("has no field" in str(refusal.value)) <= ("without" in name or "missing" in name)
+    assert ("unknown field" in str(refusal.value)) <= ("field" in name)
+    assert (refusal.value.code == "protocol.type") <= bool({"type", "from", "local"} & set(name.split("-")))
 
 
 @pytest.mark.parametrize(

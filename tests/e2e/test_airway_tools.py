@@ -133,7 +133,7 @@ def test_branch_is_cut_and_restored_by_undo_and_added_by_a_click_after_another_c
     assert workstation.state("preview.answer.origin") == {"branch": "LMB", "extends": True}
     workstation.picture("before-the-addition")
     workstation.page.mouse.click(x, y)
-    # The click extends LMB to where it was clicked.
+    # The click extends LMB to the clicked point.
     workstation.wait_for(
         """(end) => 3.0 > Math.min(...[...window.__carina.state.tree.byId.values()].map((node) =>
             Math.hypot(...node.branch.points.at(-1).map((v, i) => v - end[i]))))""",

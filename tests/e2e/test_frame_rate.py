@@ -12,7 +12,7 @@ pytestmark = pytest.mark.browser
 
 STATUS_WORDS = "document.querySelector('.status-bar').innerText"
 DETAILS = "document.querySelector('[data-testid=machine-details]').innerText"
-STANDS_IN = "document.querySelector('[data-testid=view-finder]')"
+VIEW_FINDER = "document.querySelector('[data-testid=view-finder]')"
 
 
 @pytest.fixture
@@ -114,14 +114,14 @@ def test_cut_plane_with_a_label_replaces_a_slow_airway_view_until_the_view_is_fa
 ):
     workstation.open(server)
     workstation.wait_ready()
-    assert workstation.page.evaluate(f"() => {STANDS_IN}") is None
+    assert workstation.page.evaluate(f"() => {VIEW_FINDER}") is None
     slow_file.touch()
-    workstation.fly_until(STANDS_IN, 120.0)
+    workstation.fly_until(VIEW_FINDER, 120.0)
     workstation.watch_stand_ins()
     workstation.page.keyboard.down("w")
     label, frame, status = workstation.once(
-        STANDS_IN,
-        f"[{STANDS_IN}.innerText, window.__carina.state.frames.airway, {STATUS_WORDS}]",
+        VIEW_FINDER,
+        f"[{VIEW_FINDER}.innerText, window.__carina.state.frames.airway, {STATUS_WORDS}]",
     )
     workstation.picture("budget-view-finder")
     workstation.page.keyboard.up("w")
@@ -133,11 +133,11 @@ def test_cut_plane_with_a_label_replaces_a_slow_airway_view_until_the_view_is_fa
 
     # At rest the airway view arrives, however long it takes, and the label disappears.
     workstation.wait_still()
-    assert workstation.page.evaluate(f"() => {STANDS_IN}") is None
+    assert workstation.page.evaluate(f"() => {VIEW_FINDER}") is None
     assert workstation.state("frames.airway.view") == "airway"
 
     slow_file.unlink()
-    workstation.fly_until(f"!{STANDS_IN} && window.__carina.state.frames.airway.full === false", 120.0)
+    workstation.fly_until(f"!{VIEW_FINDER} && window.__carina.state.frames.airway.full === false", 120.0)
     workstation.watch_stand_ins()
     # Several consecutive airway pictures are shown as soon as the machine is fast enough.
     workstation.fly_until("window.__shown.slice(-4).join() === 'airway,airway,airway,airway'", 120.0)

@@ -12,7 +12,7 @@ from workstation import open_page
 
 pytestmark = pytest.mark.browser
 
-KEEP_DEEDS = """
+RECORD_ACTIONS = """
 window.__actions = [];
 window.WebSocket = class extends WebSocket {
   send(data) {
@@ -70,7 +70,7 @@ def prepare(workstation, server) -> None:
 @pytest.fixture
 def scripts():
     """Return the script that intercepts the actions in every page of these tests."""
-    return (KEEP_DEEDS,)
+    return (RECORD_ACTIONS,)
 
 
 @pytest.fixture
@@ -95,7 +95,7 @@ class SharedPage:
             self.close()
             server = host.open(demo="phantom")
             self._open.callback(self._end, host, server)
-            self.workstation = open_page(browser, (KEEP_DEEDS,))
+            self.workstation = open_page(browser, (RECORD_ACTIONS,))
             self._open.callback(self.workstation.page.context.close)
             prepare(self.workstation, server)
             self._first = self._seen()

@@ -66,7 +66,7 @@ window.__settled = async (limitMs) => {
     requestAnimationFrame(() => { clearTimeout(late); done(); });
   });
   const answer = () => new Promise((done, fail) => {
-    // The answer to a cursor that moves may take this one's place: asked again.
+    // The answer to a moving cursor may replace this answer: send the request again.
     const again = setInterval(() => window.__ask(), 1000);
     const late = setTimeout(() => fail(new Error('the server does not answer')), end - performance.now());
     window.__answered = () => { clearInterval(again); clearTimeout(late); done(); };
@@ -138,10 +138,10 @@ class Workstation:
         self._wait_by_timer()
         for name in ("add_init_script", "route", "route_web_socket"):
             self._watch(name)
-        page.on("console", self._said)
+        page.on("console", self._on_console)
         page.on("pageerror", lambda error: self.faults.append(str(error)))
 
-    def _said(self, message: Any) -> None:
+    def _on_console(self, message: Any) -> None:
         # The browser requests an icon for a picture that it shows as a page; the client's page defines its icon.
         if message.type == "error" and not message.location["url"].endswith("/favicon.ico"):
             self.faults.append(message.text)
@@ -389,7 +389,7 @@ class Workstation:
         self.page.keyboard.up(key)
 
     def wait_still(self) -> None:
-        """Wait until the tip is at rest and the airway view answers its pose in full quality."""
+        """Wait until the tip is at rest and the airway view shows its pose in full quality."""
         self.settle()
         self.page.wait_for_function(
             """() => {

@@ -107,7 +107,7 @@ class Kept:
         self._lock = threading.Lock()
         """Lock of the cache. Cached values are never released, so no other object can get the ID of a cached one."""
 
-    def _kept(self, key: tuple[object, ...], make: Callable[[], Any]) -> Any:
+    def _cached(self, key: tuple[object, ...], make: Callable[[], Any]) -> Any:
         with self._lock:
             if key in self._values:
                 return self._values[key]
@@ -124,15 +124,15 @@ class Kept:
     def open_volume(self, path: str, progress: Any, cancel: Any) -> Any:
         if path not in self.shared_paths:
             return self._real.open_volume(path, progress, cancel)
-        return self._kept(("file", path), lambda: self._real.open_volume(path, progress, cancel))
+        return self._cached(("file", path), lambda: self._real.open_volume(path, progress, cancel))
 
     def open_demo(self, name: str, progress: Any, cancel: Any) -> Any:
-        return self._kept(("demo", name), lambda: self._real.open_demo(name, progress, cancel))
+        return self._cached(("demo", name), lambda: self._real.open_demo(name, progress, cancel))
 
     def quality_words(self, volume: Any) -> Any:
         if not self._holds(volume):
             return self._real.quality_words(volume)
-        return self._kept(("quality", id(volume)), lambda: self._real.quality_words(volume))
+        return self._cached(("quality", id(volume)), lambda: self._real.quality_words(volume))
 
     def find_airways(self, volume: Any, *, root_lps: Any, lumen_threshold: Any, **options: Any) -> Any:
         def find() -> Any:
@@ -142,7 +142,7 @@ class Kept:
         if root_lps is not None or lumen_threshold is not None or "lumen_zyx" in options or not self._holds(volume):
             return find()
         # The search takes ten seconds of processor time; the hosts of all workers share the result.
-        return self._kept(("airways", id(volume)), lambda: found_airways(volume))
+        return self._cached(("airways", id(volume)), lambda: found_airways(volume))
 
     def measure_tree(self, volume: Any, airways: Any, **options: Any) -> Any:
         assert self._real.measure_tree is not None
@@ -151,7 +151,7 @@ class Kept:
             return measure(volume, airways, **options)
         # The measurement takes six seconds of processor time; the hosts of all workers share the result.
         name = f"measures of {name_of(volume)}"
-        return self._kept(
+        return self._cached(
             ("measures", id(airways)),
             lambda: cached_value(name, lambda: measure(volume, airways, **options)),
         )
@@ -160,7 +160,7 @@ class Kept:
         def make() -> Any:
             return self._real.wall_field(volume, airways, **options)
 
-        return self._kept(("wall", id(airways)), make) if self._holds(airways) else make()
+        return self._cached(("wall", id(airways)), make) if self._holds(airways) else make()
 
     def target_from_click(self, volume: Any, at_lps: Any, **options: Any) -> Any:
         def make() -> Any:
@@ -170,7 +170,7 @@ class Kept:
         if not self._holds(airways) or not (wall is None or self._holds(wall)):
             return make()
         rest = {name: value for name, value in options.items() if name not in {"airways", "wall", "progress"}}
-        return self._kept(("target", id(airways), id(wall), pickle.dumps((tuple(at_lps), rest))), make)
+        return self._cached(("target", id(airways), id(wall), pickle.dumps((tuple(at_lps), rest))), make)
 
     def plan_route(self, volume: Any, airways: Any, target: Any, **options: Any) -> Any:
         def make() -> Any:
@@ -182,14 +182,14 @@ class Kept:
         # A later plan of an equal target is the same object, and the product repeats no drive along its routes.
         unused = {"wall", "measures", "progress", "cancel"}
         rest = {name: value for name, value in options.items() if name not in unused}
-        return self._kept(("plan", id(airways), pickle.dumps((target, rest))), make)
+        return self._cached(("plan", id(airways), pickle.dumps((target, rest))), make)
 
     def carm_angles(self, volume: Any, airways: Any, plan: Any, *, route_number: int, **options: Any) -> Any:
         def make() -> Any:
             return self._real.carm_angles(volume, airways, plan, route_number=route_number, **options)
 
         is_held = self._holds(airways) and self._holds(plan)
-        return self._kept(("C-arm", id(airways), id(plan), route_number), make) if is_held else make()
+        return self._cached(("C-arm", id(airways), id(plan), route_number), make) if is_held else make()
 
     def judge_scopes(self, tree: Any, plan: Any, wall: Any, *, route: Any, **options: Any) -> Any:
         judge = partial(self._real.judge_scopes, route=route)
@@ -225,7 +225,7 @@ class Kept:
         rest = {name: value for name, value in options.items() if name not in {"progress", "cancel"}}
         # The tree is stored with the verdicts, so that no other tree can get its ID.
         key = (*kind, id(tree), id(plan), id(wall), pickle.dumps(rest))
-        _, verdicts, shown = self._kept(key, lambda: (tree, judge(found=note), tuple(judged)))
+        _, verdicts, shown = self._cached(key, lambda: (tree, judge(found=note), tuple(judged)))
         if not judged:
             for verdict in shown:
                 found(verdict)

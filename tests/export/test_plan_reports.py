@@ -203,7 +203,7 @@ def test_invalid_pdf_and_pdf_with_the_patient_name_are_refused(ct, volume, tmp_p
     for pdf in (b"", b"<html>", PDF[:-8], PDF[1:]):
         with pytest.raises(UsageError, match="expected a whole PDF"):
             write_plan_pdf(tmp_path / "p.dcm", pdf, names_patient=False)
-    with pytest.raises(UsageError, match="no identity was asked for"):
+    with pytest.raises(UsageError, match="no identity was requested"):
         write_plan_pdf(tmp_path / "p.dcm", PDF, names_patient=True)
     with pytest.raises(UsageError, match="name both"):
         write_plan_pdf(tmp_path / "p.dcm", PDF, names_patient=True, identity="from the CT", volume=volume)

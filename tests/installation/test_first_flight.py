@@ -82,7 +82,7 @@ def test_two_commands_lead_from_the_wheel_file_to_the_first_flight(files, home, 
         "UV_TOOL_BIN_DIR": str(home / "programs"),
         "UV_PYTHON_DOWNLOADS": "never",
     }
-    # How this machine reaches the package index.
+    # Settings of this machine for the connection to the package index.
     environment |= {name: value for name, value in os.environ.items() if NETWORK.fullmatch(name)}
     assert not [name for name in ("cargo", "rustc", "node", "cc", "gcc") if shutil.which(name, path=str(home))]
     [wheel] = files.glob("carina-*.whl")

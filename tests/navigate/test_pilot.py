@@ -413,19 +413,19 @@ def test_orientation_only_pen_advances_by_its_key_and_turns(path):
 
 
 # The tracker's coordinates are rotated against those of the patient about two axes.
-STANDS = np.eye(4)
-STANDS[:3, :3] = rotation_from_vector(np.array([0.4, -0.9, 0.2]))
-STANDS[:3, 3] = (120.0, -45.0, 300.0)
+TRACKER_POSE = np.eye(4)
+TRACKER_POSE[:3, :3] = rotation_from_vector(np.array([0.4, -0.9, 0.2]))
+TRACKER_POSE[:3, 3] = (120.0, -45.0, 300.0)
 
 
 def registered(*, path: bool = False, controls: DeviceControls = PLAIN) -> Hand:
     hand = Hand(path=path, controls=controls)
-    hand.pilot.apply(m.Register("pen", tuple(STANDS.ravel())))
+    hand.pilot.apply(m.Register("pen", tuple(TRACKER_POSE.ravel())))
     return hand
 
 
 def in_tracker(lps) -> tuple[float, ...]:
-    return tuple(np.linalg.inv(STANDS[:3, :3]) @ (np.array(lps) - STANDS[:3, 3]))
+    return tuple(np.linalg.inv(TRACKER_POSE[:3, :3]) @ (np.array(lps) - TRACKER_POSE[:3, 3]))
 
 
 def test_position_of_a_registered_pen_is_known_in_every_mode_and_at_high_speed():
@@ -445,7 +445,7 @@ def test_unregistered_pen_or_pen_without_position_data_has_no_position():
     assert hand.pilot.pen() is None
     hand.pen((1.0, 2.0, 3.0))
     assert (hand.pilot.pen_lps("pen"), hand.pilot.pen().lps, hand.pilot.pen().is_tracked) == (None, None, True)
-    hand.pilot.apply(m.Register("pen", tuple(STANDS.ravel())))
+    hand.pilot.apply(m.Register("pen", tuple(TRACKER_POSE.ravel())))
     assert hand.pilot.pen().lps is not None
     hand.send(PoseSample(0.0, None, (1.0, 0.0, 0.0, 0.0)), "pen")
     assert (hand.pilot.pen_lps("pen"), hand.pilot.pen().is_tracked) == (None, False)

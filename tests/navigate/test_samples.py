@@ -125,7 +125,7 @@ def test_number_of_stored_devices_is_limited_and_the_message_names_three():
         gate.admit(f"stick {n}", AxesSample(0.0, (5.0, *REST[1:])), 0.1)
     # Samples of all these devices are refused; of the stored devices those without a valid sample are removed first.
     assert len(gate._seen) <= 64
-    assert len(gate._unsaid) <= 66
+    assert len(gate._unreported) <= 66
     assert gate.holder == "pen"
     text = gate.take_message(0.2)
     assert text is not None

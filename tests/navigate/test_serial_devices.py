@@ -118,12 +118,12 @@ def test_fastrak_is_read_at_its_rate_and_reconnects_after_unplugging(binary, tmp
     try:
         requests = b""
 
-        def all_asked() -> bool:
+        def are_all_requested() -> bool:
             nonlocal requests
             requests += port.received()
             return requests.endswith(b"C")
 
-        wait_for(all_asked)
+        wait_for(are_all_requested)
         assert requests == b"cuO1,2,11,16,1\r" + (b"f" if binary else b"F") + b"C"
         with sending(lambda n: record(n / 10.0, button=int(n == 60)), port):
             wait_for(lambda: len(recorder.samples) >= 100)

@@ -393,9 +393,9 @@ def test_phone_turns_the_tip_while_its_button_is_pressed_and_advances_it(phone):
             return phone.session.pose_info().path_mm - at_mm > 10.0
 
         wait_for(has_advanced)
-        gone_mm = phone.session.pose_info().path_mm - at_mm
+        moved_mm = phone.session.pose_info().path_mm - at_mm
         # The speed is 25 mm/s; the first frame after a rest may count 0.1 s as elapsed.
-        assert gone_mm < 25.0 * (time.monotonic() - began_s + 0.1)
+        assert moved_mm < 25.0 * (time.monotonic() - began_s + 0.1)
         link.send(sample(100.0 + next(clock) / 60, None, held=False))
     wait_for(lambda: not phone.page.info().connected)
 

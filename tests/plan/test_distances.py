@@ -260,7 +260,7 @@ def test_distance_back_from_a_wrong_branch_is_measured_along_the_centrelines() -
         inside = 0.9 * float(tree.branch(first.parent or 0).radius[-1])
         opening = first.points[0] + along / np.linalg.norm(along) * inside
         assert back_to_route_mm(tree, route, first.id, opening) is None
-    # A branch beyond the end of the route is no wrong branch.
+    # A branch beyond the end of the route is not a wrong branch.
     parent = tree.branch(tips[-1].parent or 0)
     assert back_to_route_mm(tree, route_to_branch(tree, parent.id), tips[-1].id, tips[-1].points[-1]) is None
 

@@ -172,7 +172,7 @@ def test_clock_hour_of_a_direction_is_its_angle_in_the_levelled_picture(
     assert (facing - head) % 12.0 == pytest.approx(6.0)
 
 
-def test_lymph_node_stations_are_plain_json_and_an_argument_that_is_no_tree_is_refused() -> None:
+def test_lymph_node_stations_are_plain_json_and_an_argument_that_is_not_a_tree_is_refused() -> None:
     written = json.loads(json.dumps([mark.to_json() for mark in ebus_landmarks(tree())], allow_nan=False))
     assert written[0]["station"] == "4R"
     assert "IASLC" in written[0]["source"]

@@ -77,7 +77,7 @@ def test_hold_is_found_in_a_narrow_tube_by_small_changes_of_the_grid() -> None:
         assert (room >= 0.5 * SCOPE.tip_mm - YIELD_MM).all()
 
 
-def test_tip_in_a_branch_that_is_narrower_than_the_scope_with_its_excess_is_no_hold() -> None:
+def test_tip_cannot_be_held_in_a_branch_narrower_than_the_scope_needs() -> None:
     beyond = Target((0.0, 0.0, -110.0), 4.0)
     assert find_hold(tube(3.0, end_mm=1.75), beyond, SCOPE, REACH_MM) is not None
     # The stated diameter of 3 mm passes this branch, but the diameter with its excess of 0.4 mm does not.

@@ -219,7 +219,7 @@ def test_the_other_way_is_tried_again_and_taken_once_it_is_faster(scene):
     assert all(ways)
 
 
-def test_a_far_view_and_other_maps_are_tried_anew(scene):
+def test_far_views_and_other_maps_are_measured_again(scene):
     choice, maps = PrefetchChoice(), scene[0]
     prefetched_pictures(choice, maps, (1.0, 0.5), PREFETCH_TRIALS + 1)
     near = view_at(0.05 * DIAGONAL_MM).pose

@@ -54,7 +54,7 @@ def test_invalid_documents_of_a_transfer_function_are_refused(change):
     assert refused.value.exit_code == 2
 
 
-def test_transfer_function_from_text_that_is_no_json_object_is_refused():
+def test_transfer_function_from_text_that_is_not_a_json_object_is_refused():
     for text in ("{", "[1]"):
         with pytest.raises(RenderError):
             TransferFunction.from_json_text(text)

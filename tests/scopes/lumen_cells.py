@@ -28,7 +28,7 @@ class LumenCells:
         is_inside: Callable[[Floats], bool] = lambda _: False,
     ) -> None:
         self._is_inside = is_inside
-        self._told: dict[tuple[int, ...], bool] = {}
+        self._is_inside_cell: dict[tuple[int, ...], bool] = {}
         self._low, self._cell_mm, self._inside, self._signed_mm = low, cell_mm, inside, signed_mm
         # The value of a cell is 1 plus the number of layers of inside cells around it, or 0 for a cell that is not
         # inside.
@@ -86,9 +86,9 @@ class LumenCells:
         # narrow part.
         for n in np.flatnonzero(np.isinf(depths)):
             cell = tuple(int(v) for v in (points[n] - self._low) // self._cell_mm)
-            if cell not in self._told:
-                self._told[cell] = self._is_inside(points[n])
-            if self._told[cell]:
+            if cell not in self._is_inside_cell:
+                self._is_inside_cell[cell] = self._is_inside(points[n])
+            if self._is_inside_cell[cell]:
                 depths[n] = 0.0
         return depths
 

@@ -52,8 +52,8 @@ class Workstations:
         """Start a workstation, and return its process ID and a connected window."""
         self.process.stdin.write(f"{self.ct}\n")
         self.process.stdin.flush()
-        self.running = pid = int(self._said("pid"))
-        url, _, token = self._said("url").partition(" ")
+        self.running = pid = int(self._value_of("pid"))
+        url, _, token = self._value_of("url").partition(" ")
         base = url.partition("/?")[0]
         return pid, Window(f"ws{base[4:]}/ws", token)
 
@@ -62,7 +62,7 @@ class Workstations:
         self.running = None
         assert self.process.stdout.readline().strip() == "gone"
 
-    def _said(self, what: str) -> str:
+    def _value_of(self, what: str) -> str:
         line = self.process.stdout.readline().strip()
         assert line.startswith(f"{what} "), line
         return line.partition(" ")[2]

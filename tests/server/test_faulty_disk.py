@@ -45,7 +45,7 @@ class Faults:
         for made in (self.home, self.elsewhere, self.copies):
             made.mkdir()
         self.stations = Workstations(self.home, self.disk.environment, SOON_S)
-        self.told_s: list[float] = []
+        self.reported_s: list[float] = []
         """Seconds from the beginning of each fault to its message in the window."""
 
     def start(self) -> tuple[int, Window]:
@@ -131,7 +131,7 @@ def fails_at(faults: Faults, kind: str, rng: random.Random, n: int) -> None:
     met_s = time.monotonic()
     goes_on(window)
     window.until(lambda: window.state["saving"]["problem"] is not None)
-    faults.told_s.append(time.monotonic() - met_s)
+    faults.reported_s.append(time.monotonic() - met_s)
     goes_on(window)
     if n % 2:
         saved_elsewhere(faults, window, f"{kind}-{n}")
@@ -207,8 +207,8 @@ def test_session_continues_on_a_disk_that_fails_at_two_hundred_points(faults, ki
     rng = random.Random(20001)
     for n in range(POINTS):
         fails_at(faults, kind, rng, n)
-    told_s = sorted(faults.told_s)
-    print(f"{kind}: told after {told_s[POINTS // 2]:.2f} s in the middle, {told_s[-1]:.2f} s at most")
+    reported_s = sorted(faults.reported_s)
+    print(f"{kind}: reported after {reported_s[POINTS // 2]:.2f} s (median), {reported_s[-1]:.2f} s at most")
 
 
 @pytest.mark.soak

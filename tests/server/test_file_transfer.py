@@ -55,9 +55,9 @@ def test_export_of_airways_needs_the_cookie_and_leaves_no_file_on_the_server(liv
                 assert http.get(f"/api/airways{wrong}").status_code in {403, 404}
             # The file is removed after its last byte was sent; the next response of this connection may arrive earlier.
             (path,) = made
-            gone_by = time.monotonic() + WAIT_S
+            deadline_s = time.monotonic() + WAIT_S
             while path.parent.exists():
-                assert time.monotonic() < gone_by, "the file stays"
+                assert time.monotonic() < deadline_s, "the file stays"
                 time.sleep(0.01)
 
 

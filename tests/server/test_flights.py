@@ -51,8 +51,8 @@ def recorded(window, number):
 
 def test_flights_are_listed_changed_downloaded_and_deleted(live, tmp_path):
     with live.window() as window, live.http(cookie=live.cookie, origin=live.origin) as http:
-        with live.http() as stranger:
-            assert stranger.get("/api/flights/flight-1.jsonl").status_code == 401
+        with live.http() as client:
+            assert client.get("/api/flights/flight-1.jsonl").status_code == 401
         assert http.get("/api/flights/flight-1.jsonl").status_code == 409
         open_case(window)
         began_s = time.time()

@@ -17,8 +17,8 @@ def until(window, kind, wanted=lambda _message: True):
 
 def test_key_frames_are_edited_flown_downloaded_and_opened_again(live):
     with live.window() as window, live.http(cookie=live.cookie, origin=live.origin) as http:
-        with live.http() as stranger:
-            assert stranger.get("/api/key-frames.json").status_code == 401
+        with live.http() as client:
+            assert client.get("/api/key-frames.json").status_code == 401
         assert http.get("/api/key-frames.json").status_code == 409
         open_case(window)
         none = http.get("/api/key-frames.json")

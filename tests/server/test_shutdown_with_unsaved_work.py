@@ -38,23 +38,23 @@ class Terminal:
         self._own, self.theirs = pty.openpty()
         tty.setraw(self.theirs)
         self._text = b""
-        self._news = threading.Condition()
+        self._received = threading.Condition()
         threading.Thread(target=self._read, daemon=True).start()
 
     def _read(self):
         with contextlib.suppress(OSError):  # Reading fails with EIO after the program has ended.
             while data := os.read(self._own, 4096):
-                with self._news:
+                with self._received:
                     self._text += data
-                    self._news.notify_all()
+                    self._received.notify_all()
 
     @property
     def text(self):
         return self._text.decode()
 
     def until(self, part, *, times=1):
-        with self._news:
-            assert self._news.wait_for(lambda: self._text.count(part.encode()) >= times, WAIT_S), self.text
+        with self._received:
+            assert self._received.wait_for(lambda: self._text.count(part.encode()) >= times, WAIT_S), self.text
 
     def type(self, line):
         os.write(self._own, f"{line}\n".encode())

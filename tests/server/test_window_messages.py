@@ -164,7 +164,7 @@ def test_invalid_transfer_function_is_refused_and_the_previous_one_stays_in_use(
         assert window.until_state(lambda s: s.sight.shading is not before.sight.shading).transfer == before.transfer
 
 
-def test_outline_setting_is_undone_over_the_wire_and_fine_texture_is_no_undo_step(live):
+def test_outline_setting_is_undone_over_the_wire_and_fine_texture_is_not_an_undo_step(live):
     with live.window() as window:
         assert open_case(window).sight.texture
         window.send(wire.SetOutline("octagon"))

@@ -82,9 +82,9 @@ def test_source_path_without_dicom_files_and_missing_source_path_are_reported(tm
     fixture.session.do(OpenPath(str(tmp_path)))
     fixture.background.run_all()
     assert "was not opened from DICOM" in fixture.session.ask(PlanningOf()).dicom_problem
-    gone = session_fixture(open_volume=dicom_volume)
-    gone.session.do(OpenPath(str(tmp_path / "stick")))
-    gone.background.run_all()
-    assert "no longer there" in gone.session.ask(PlanningOf()).dicom_problem
-    take(gone)
+    without_disk = session_fixture(open_volume=dicom_volume)
+    without_disk.session.do(OpenPath(str(tmp_path / "stick")))
+    without_disk.background.run_all()
+    assert "no longer there" in without_disk.session.ask(PlanningOf()).dicom_problem
+    take(without_disk)
     assert taken == [None]

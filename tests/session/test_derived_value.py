@@ -111,13 +111,13 @@ def test_request_for_the_inputs_of_the_present_value_ends_the_job_and_the_value_
 def test_inputs_requested_again_are_computed_after_the_function_was_cancelled():
     fixture = DerivedValueFixture()
 
-    def gone_and_back(_inputs, attempt):
+    def changed_and_restored(_inputs, attempt):
         fixture.value.want(B)
         assert attempt.cancel()
         fixture.value.want(A)
         raise CancelledError("given up when it was stale")
 
-    fixture.while_making = once(gone_and_back)
+    fixture.while_making = once(changed_and_restored)
     fixture.value.want(A)
     fixture.background.run_all()
     assert (fixture.made, fixture.value.standing(A), fixture.ends()) == ([A, A], "had", ["done"])
@@ -126,11 +126,11 @@ def test_inputs_requested_again_are_computed_after_the_function_was_cancelled():
 def test_inputs_requested_again_before_the_function_is_cancelled_are_computed_once():
     fixture = DerivedValueFixture()
 
-    def gone_and_back(*_):
+    def changed_and_restored(*_):
         fixture.value.want(B)
         fixture.value.want(A)
 
-    fixture.while_making = gone_and_back
+    fixture.while_making = changed_and_restored
     fixture.value.want(A)
     fixture.background.run_all()
     assert (fixture.made, fixture.value.standing(A), fixture.ends()) == ([A], "had", ["done"])

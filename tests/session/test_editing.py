@@ -128,14 +128,14 @@ def test_opening_another_case_stops_edits_and_target_searches_of_the_first(fixtu
 
 
 def test_route_to_a_cut_branch_is_removed_with_a_message_and_restored_by_undo(fixture, case):
-    gone = case.airways.tree.branch(2)
+    removed = case.airways.tree.branch(2)
     fixture.session.do(ChooseRoute(branch_id=2))
     edit(fixture, CutBranch(2))
     assert document(fixture).route is None
     messages = [e.message for e in fixture.of_type(UserMessage)]
     assert messages == ["the edit removed the route to branch 2, generation 2; choose another one, or undo"]
     fixture.session.undo()
-    assert document(fixture).route.branch_id == gone.id
+    assert document(fixture).route.branch_id == removed.id
 
 
 def test_paths_to_targets_are_searched_again_in_the_edited_tree(fixture, case):

@@ -120,7 +120,7 @@ def test_every_change_of_the_key_frame_list_is_one_undo_step(three):
         assert session.key_frames_info() == state
 
 
-def test_key_frame_changes_without_effect_are_no_undo_steps(three):
+def test_key_frame_changes_without_effect_are_not_undo_steps(three):
     first = three.session.key_frames_info().frames[0].key_id
     before = three.session.snapshot().undo_label
     three.session.do(EditKeyFrames(KeyFrameMove(first, -1)))

@@ -104,7 +104,7 @@ def test_lumen_outline_of_a_picture_is_computed_with_the_matrix_of_that_picture(
     sent = []
     renderer = Renderer(case.volume)
     session.scene().renderer.render = lambda view, stop=None: renderer.render(view, stop=stop)
-    pump = FramePump(session.scene, sent.append, lambda _told: None, clock=fixture.clock)
+    pump = FramePump(session.scene, sent.append, lambda _message: None, clock=fixture.clock)
     pump.set_layout({"axial": (120, 100), "cut-plane": (110, 90), "xray-axial": (80, 80)})
     # The poses are steps of a flight, and the sizes are those that the pump chooses during a movement.
     for _ in range(4):

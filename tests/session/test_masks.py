@@ -148,7 +148,7 @@ def test_mask_rejected_by_the_user_during_reading_is_not_imported(fixture, tool)
     assert not fixture.session.ask(MaskFileNeeded())
 
 
-def test_file_that_is_no_mask_is_refused_with_a_message_and_changes_nothing(fixture):
+def test_file_that_is_not_a_mask_is_refused_with_a_message_and_changes_nothing(fixture):
     before = fixture.session.snapshot()
     after = take(fixture, "/masks/bad.nrrd")
     assert [e.message for e in fixture.of_type(ErrorEvent)] == ["reading the segmentation bad.nrrd: it is empty"]

@@ -115,7 +115,7 @@ def test_pictures_with_a_new_preset_are_shown_while_its_isoregion_map_is_built(m
         parts=dataclasses.replace(parts, find_airways=find_airways),
     )
     delivered: list[bytes] = []
-    pump = FramePump(session.scene, delivered.append, lambda _said: None, clock=lambda: 0.0)
+    pump = FramePump(session.scene, delivered.append, lambda _message: None, clock=lambda: 0.0)
     try:
         session.do(OpenVolume(volume))
         assert session.jobs.wait_idle(60)

@@ -28,8 +28,8 @@ def test_scope_contact_is_restored_only_if_mode_tip_and_airways_are_unchanged(mo
         matrix[0, 3] = x
         return SimpleNamespace(lps_from_camera=matrix)
 
-    awaited = PendingScope(scope=None, airways=AIRWAYS, mode="guided", pose=pose(0.0))
+    pending = PendingScope(scope=None, airways=AIRWAYS, mode="guided", pose=pose(0.0))
     case = SimpleNamespace(
         navigator=SimpleNamespace(mode=mode, pose=pose(moved_mm)), document=SimpleNamespace(airways=airways)
     )
-    assert awaited.is_due(case) is is_due
+    assert pending.is_due(case) is is_due

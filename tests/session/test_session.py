@@ -184,7 +184,7 @@ def test_dragging_the_field_of_view_is_one_undo_step_and_a_later_drag_another():
     assert fixture.session.snapshot().undo_label is None
 
 
-def test_view_settings_are_no_undo_steps():
+def test_view_settings_are_not_undo_steps():
     fixture = session_fixture()
     fixture.open()
     fixture.session.do(SetOutline("octagon"))
@@ -390,7 +390,7 @@ def test_airway_view_and_plans_of_all_targets_have_the_same_scope():
     assert margins == [3.0, 5.0]
     fixture.session.undo()
     assert scopes() == ("ultrathin", "ultrathin", "ultrathin")
-    # A pinhole camera is no instrument: the plans keep theirs, also that of a further target.
+    # A pinhole camera is not an instrument: the plans keep theirs, also that of a further target.
     fixture.session.do(SetScope(None))
     fixture.session.do(MarkSphere(small_lps((6.0, 6.0, 6.0)), 6.0))
     assert scopes() == (None, "ultrathin", "ultrathin", "ultrathin")

@@ -28,13 +28,13 @@ class ScriptedTerminal:
         self.is_interactive = is_interactive
         self.answers = list(answers)
         self.printed = []
-        self.num_asked = 0
+        self.num_questions = 0
 
     def say(self, text):
         self.printed.append(text)
 
     def ask(self, _prompt):
-        self.num_asked += 1
+        self.num_questions += 1
         answer = self.answers.pop(0) if self.answers else None
         if callable(answer):
             answer = answer()
@@ -95,7 +95,7 @@ def test_session_without_unsaved_work_ends_without_a_question(workstation):
     clear(workstation)
     terminal = ScriptedTerminal()
     close_session(workstation.session, terminal)
-    assert (terminal.num_asked, terminal.printed) == (0, [])
+    assert (terminal.num_questions, terminal.printed) == (0, [])
     assert len(saved_steps(workstation)) == 8
 
 
@@ -155,7 +155,7 @@ def test_unsaved_work_without_a_terminal_raises_an_error_without_a_question(work
     terminal = ScriptedTerminal(is_interactive=False)
     with pytest.raises(UnsavedWorkError) as lost:
         close_session(workstation.session, terminal)
-    assert terminal.num_asked == 0
+    assert terminal.num_questions == 0
     assert (lost.value.exit_code, lost.value.code) == (5, "case.not-saved")
     text = str(lost.value)
     for part in ("5 changes", "could not be saved", "with 3 changes", str(workstation.files[-1].path)):
@@ -166,7 +166,7 @@ def test_unsaved_work_without_a_terminal_raises_an_error_without_a_question(work
 def test_terminal_lists_unsaved_work_and_saves_it_on_retry(workstation):
     terminal = ScriptedTerminal("r", lambda: (clear(workstation), "r")[1])
     close_session(workstation.session, terminal)
-    assert terminal.num_asked == 2
+    assert terminal.num_questions == 2
     assert "5 changes" in terminal.text and str(workstation.files[-1].path) in terminal.text
     assert len(saved_steps(workstation)) == 8
 
@@ -192,7 +192,7 @@ def test_changes_saved_to_another_folder_count_as_saved_after_an_event_without_c
     assert workstation.session.cases.unsaved() == ()
     terminal = ScriptedTerminal()
     close_session(workstation.session, terminal)
-    assert (terminal.num_asked, terminal.printed) == (0, [])
+    assert (terminal.num_questions, terminal.printed) == (0, [])
 
 
 def test_change_after_a_save_to_another_folder_is_unsaved_and_the_report_names_that_file(workstation, tmp_path):
@@ -239,7 +239,7 @@ def test_unusable_save_path_is_refused_and_requested_again(workstation, tmp_path
     taken.write_bytes(b"another case")
     terminal = ScriptedTerminal(str(taken), str(tmp_path / "nowhere" / "x"), str(tmp_path / "free"))
     close_session(workstation.session, terminal)
-    assert terminal.num_asked == 3
+    assert terminal.num_questions == 3
     assert "already exists" in terminal.text and "does not exist" in terminal.text
     assert taken.read_bytes() == b"another case"
     assert str(tmp_path / "free.carina") in workstation.written
@@ -250,7 +250,7 @@ def test_quit_interrupt_and_closed_terminal_raise_the_error_about_unsaved_work(w
     terminal = ScriptedTerminal(answer)
     with pytest.raises(UnsavedWorkError, match="5 changes"):
         close_session(workstation.session, terminal)
-    assert terminal.num_asked == 1
+    assert terminal.num_questions == 1
 
 
 def test_interrupt_before_the_question_raises_the_error_about_unsaved_work(workstation, monkeypatch):
@@ -267,7 +267,7 @@ def test_interrupt_before_the_question_raises_the_error_about_unsaved_work(works
     terminal = ScriptedTerminal()
     with pytest.raises(UnsavedWorkError, match="5 changes"):
         close_session(workstation.session, terminal)
-    assert terminal.num_asked == 0
+    assert terminal.num_questions == 0
 
 
 def test_undone_changes_that_are_not_saved_count_as_unsaved(workstation):
@@ -284,7 +284,7 @@ def test_moved_tip_is_not_an_unsaved_change(workstation):
     workstation.session.do(c.Steer(1.0, 0.0, 0.0, 0.0))
     terminal = ScriptedTerminal()
     close_session(workstation.session, terminal)
-    assert terminal.num_asked == 0
+    assert terminal.num_questions == 0
 
 
 def test_failed_save_that_began_before_the_disk_recovered_is_repeated_at_once(workstation, monkeypatch):
@@ -375,7 +375,7 @@ def test_program_that_lost_the_owner_of_its_case_refuses_to_close_with_unsaved_c
 
 
 def test_terminal_whose_console_is_gone_is_not_interactive():
-    assert not ConsoleTerminal(is_gone=True).is_interactive
+    assert not ConsoleTerminal(is_closed=True).is_interactive
 
 
 def test_terminal_shows_no_control_characters_of_file_names(capsys):

@@ -1,4 +1,4 @@
-"""Tests of absent lobes and segments: each has evidence in the CT, and a missed branch is no disease."""
+"""Tests of absent lobes and segments: each has evidence in the CT, and a missed branch does not count as a disease."""
 
 from __future__ import annotations
 
@@ -32,14 +32,14 @@ def chest():
 
 def without(tree, name):
     """Return the tree without a named branch and its descendants."""
-    gone = {branch.id for branch in tree.branches if branch.name == name}
+    removed = {branch.id for branch in tree.branches if branch.name == name}
     for branch in tree.branches:
-        if branch.parent in gone:
-            gone.add(branch.id)
+        if branch.parent in removed:
+            removed.add(branch.id)
     remaining = tuple(
-        dataclasses.replace(branch, children=tuple(child for child in branch.children if child not in gone))
+        dataclasses.replace(branch, children=tuple(child for child in branch.children if child not in removed))
         for branch in tree.branches
-        if branch.id not in gone
+        if branch.id not in removed
     )
     return dataclasses.replace(tree, branches=remaining)
 

@@ -114,7 +114,7 @@ def test_given_root_in_a_crop_without_trachea_gives_a_tree(draw_chest):
     assert all(branch.name is None for branch in airways.tree.branches)
 
 
-def test_given_root_in_emphysematous_lung_is_refused_as_no_airway(chest):
+def test_given_root_in_emphysematous_lung_is_refused_as_not_an_airway(chest):
     values = np.array(chest.volume.hu_zyx)
     # The values are those of emphysema: lung as dark as air.
     values[values < -700] = -950

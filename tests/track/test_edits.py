@@ -68,26 +68,26 @@ def snapshot(airways):
 
 
 def test_cut_removes_the_selected_branch_with_its_lumen_and_no_other(case):
-    gone = branch_to(case.airways, case.tips[0])
-    airways = edited(case, CutBranch(gone.id))
+    removed = branch_to(case.airways, case.tips[0])
+    airways = edited(case, CutBranch(removed.id))
     # The sibling and the parent become one branch with the parent's ID.
-    parent = airways.tree.branch(gone.parent)
+    parent = airways.tree.branch(removed.parent)
     assert not parent.children
     assert {b.id for b in airways.tree.branches} == {0, 1, 4, 5, 6} - {
-        gone.id,
+        removed.id,
         *case.airways.tree.branch(1).children,
     } | {1}
     for branch in airways.tree.branches:
         if branch.id in {0, 4, 5, 6}:
             np.testing.assert_array_equal(branch.points, case.airways.tree.branch(branch.id).points)
-    middle = gone.points[len(gone.points) // 2 :]
+    middle = removed.points[len(removed.points) // 2 :]
     assert not airways.tracker.inside(middle).any()
     others = np.concatenate([b.points for b in airways.tree.branches])
     assert airways.tracker.inside(others).all()
     assert airways.lumen_zyx.sum() < case.airways.lumen_zyx.sum()
     # The removed branch attracts no path any more.
     with pytest.raises(NoResultError, match="from the segmented lumen"):
-        airways.tracker.path_to(gone.tip_lps, snap_mm=1.0)
+        airways.tracker.path_to(removed.tip_lps, snap_mm=1.0)
 
 
 def test_branch_cut_at_a_point_ends_at_that_point_and_retains_its_id(case):
@@ -100,20 +100,20 @@ def test_branch_cut_at_a_point_ends_at_that_point_and_retains_its_id(case):
 
 
 def test_click_on_the_end_of_a_cut_branch_adds_it_again_with_confidence(case):
-    gone = branch_to(case.airways, case.tips[0])
-    airways = edited(case, CutBranch(gone.id), AddBranch(point(case.tips[0])))
+    removed = branch_to(case.airways, case.tips[0])
+    airways = edited(case, CutBranch(removed.id), AddBranch(point(case.tips[0])))
     new = branch_to(airways, case.tips[0])
     assert new.kind == "tracked"
     assert new.doubtful_mm == 0.0
     assert new.confidence is not None
     assert new.confidence > 0.5
     assert new.id >= 7  # The ID was never used before.
-    assert airways.tree.branch(new.parent).points[-1] == pytest.approx(gone.points[0], abs=6.0)
+    assert airways.tree.branch(new.parent).points[-1] == pytest.approx(removed.points[0], abs=6.0)
     np.testing.assert_allclose(new.tip_lps, case.tips[0], atol=0.8)  # The tolerance is half of a voxel's diagonal.
-    off = off_line(new.points[3:], gone.points[0], case.tips[0])
+    off = off_line(new.points[3:], removed.points[0], case.tips[0])
     assert off.max() < 1.5  # The tolerance is one voxel: the path leads through the middle of the tube.
     assert 0.6 < np.median(new.radius) < 2.5  # The tube was drawn with a radius of 1.9 mm on voxels of 1 to 1.5 mm.
-    assert airways.tree.branch(new.parent).id == gone.parent
+    assert airways.tree.branch(new.parent).id == removed.parent
 
 
 def test_branch_added_inside_the_lumen_splits_its_parent(case):

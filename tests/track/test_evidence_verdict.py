@@ -126,7 +126,7 @@ def test_airway_with_a_wall_along_its_length_has_evidence():
     assert not doubtful_sections(tube(), LUNG, HU, start).any()
 
 
-def test_one_bright_wall_is_no_evidence_for_a_long_path_without_walls():
+def test_one_bright_wall_is_insufficient_evidence_for_a_long_path_without_walls():
     bare = np.arange(40) >= 12
     sections = tube(
         rise=np.where(bare, 0.0, 1000.0),

@@ -58,7 +58,7 @@ def test_tracheal_tube_is_reported_with_the_height_of_its_tip() -> None:
 
 
 @pytest.mark.parametrize("seed", [9, 16])
-def test_air_beside_a_tracheal_tube_is_no_branch_and_the_cords_are_found_from_inside_the_tube(seed: int) -> None:
+def test_air_beside_a_tracheal_tube_is_not_a_branch_and_the_cords_are_found_from_inside_the_tube(seed: int) -> None:
     """Use seed 9, in which the tube touches the wall of the trachea, and seed 16.
 
     In seed 16 the lumen that is followed begins in the tube, 57 mm below the vocal cords.

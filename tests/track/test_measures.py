@@ -331,7 +331,7 @@ def test_noise_causes_stenoses_in_no_more_branches_than_their_error_allows(seed,
     assert np.mean([one is not None for one in found]) < 0.06
 
 
-def test_narrowing_that_an_unseen_fork_may_cause_is_no_stenosis():
+def test_narrowing_that_an_unseen_fork_may_cause_is_not_a_stenosis():
     at = np.arange(0.0, 30.0)
     one_fork = np.where(at < 20.0, 5.0, 5.0 * 2.0 ** (-1 / 3))
     measured = {"usable": np.ones(30, bool), "expected": None}
@@ -400,15 +400,15 @@ def test_directions_of_a_thin_branch_follow_its_bends():
 
 
 @pytest.mark.parametrize(
-    ("num", "length_mm", "is_told"), [(5, 6.0, True), (21, 20.0, True), (4, 20.0, False), (21, 4.9, False)]
+    ("num", "length_mm", "is_stated"), [(5, 6.0, True), (21, 20.0, True), (4, 20.0, False), (21, 4.9, False)]
 )
-def test_taper_is_stated_only_for_five_cross_sections_over_five_millimetres(num, length_mm, is_told):
+def test_taper_is_stated_only_for_five_cross_sections_over_five_millimetres(num, length_mm, is_stated):
     at = np.linspace(0.0, length_mm, num)
     even = np.full(num, 0.1)
     summary = summary_of(
         at, (8.0 - 0.05 * at, even), (even, even), np.ones(num, dtype=bool), angle_deg=None, stenosis=None
     )
-    assert summary.taper == (pytest.approx(-0.05) if is_told else None)
+    assert summary.taper == (pytest.approx(-0.05) if is_stated else None)
 
 
 def test_cross_section_with_an_invalid_plane_is_refused(chest):

@@ -118,7 +118,7 @@ def test_extension_keeps_names_from_another_source_that_it_does_not_change():
     assert all(one.branch_id != other.id for one in renamed_branches(older, edited))
 
 
-def test_tip_that_a_moved_fork_lengthens_is_no_extension():
+def test_tip_that_a_moved_fork_lengthens_is_not_an_extension():
     tree = uncut(1)
     tip, cut = cut_trees(1)[0]
     assert extends_tips_only(cut, tree)
@@ -139,7 +139,7 @@ def test_tip_that_a_moved_fork_lengthens_is_no_extension():
     assert not extends_tips_only(tree, dataclasses.replace(tree, branches=branches))
 
 
-def test_one_tip_does_not_make_a_human_tree_unlike_a_human_one(monkeypatch):
+def test_one_more_tip_does_not_make_a_human_tree_implausible(monkeypatch):
     tree = uncut(1)
     fit = {tip: (cut, _read(cut).fit, _read(tree).fit) for tip, cut in cut_trees(1)}
     cut, before, after = max(fit.values(), key=lambda of_tip: of_tip[1] - of_tip[2])
@@ -165,14 +165,14 @@ def test_poor_reading_with_another_laterality_needs_the_usual_fit(monkeypatch):
 def test_removal_of_many_branches_can_make_a_tree_unlike_a_human_one(monkeypatch):
     tree = uncut(1)
     top = max((b for b in tree.branches if b.parent == tree.root.id), key=lambda b: len(b.children))
-    gone, found = {top.id}, [top.id]
+    removed, found = {top.id}, [top.id]
     while found:
         found = [child for one in found for child in tree.branch(one).children]
-        gone |= set(found)
+        removed |= set(found)
     rest = tuple(
-        dataclasses.replace(b, children=tuple(child for child in b.children if child not in gone))
+        dataclasses.replace(b, children=tuple(child for child in b.children if child not in removed))
         for b in tree.branches
-        if b.id not in gone
+        if b.id not in removed
     )
     monkeypatch.setattr(naming, "POOR_FIT", 100.0)
     before = name_human_tree(tree, is_mirrored=False)

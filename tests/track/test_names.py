@@ -72,15 +72,15 @@ def rooted_at(tree: AirwayTree, name: str) -> AirwayTree:
 
 def without(tree: AirwayTree, cut: set[int]) -> AirwayTree:
     """Return the tree without some branches and their descendants; the IDs of the other branches stay the same."""
-    gone: set[int] = set()
+    removed: set[int] = set()
     for b in tree.branches:
-        if b.id in cut or b.parent in gone:
-            gone.add(b.id)
+        if b.id in cut or b.parent in removed:
+            removed.add(b.id)
     return AirwayTree(
         tuple(
-            dataclasses.replace(b, children=tuple(c for c in b.children if c not in gone))
+            dataclasses.replace(b, children=tuple(c for c in b.children if c not in removed))
             for b in tree.branches
-            if b.id not in gone
+            if b.id not in removed
         )
     )
 

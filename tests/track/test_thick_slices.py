@@ -178,14 +178,14 @@ def test_detection_shares_as_json_equal_those_of_the_note(chest):
 
 def without(tree: AirwayTree, name: str) -> AirwayTree:
     """Return the tree without a named branch and its descendants."""
-    gone: set[int] = set()
+    removed: set[int] = set()
     for branch in tree.branches:
-        if branch.name == name or branch.parent in gone:
-            gone.add(branch.id)
+        if branch.name == name or branch.parent in removed:
+            removed.add(branch.id)
     remaining = tuple(
-        dataclasses.replace(branch, children=tuple(child for child in branch.children if child not in gone))
+        dataclasses.replace(branch, children=tuple(child for child in branch.children if child not in removed))
         for branch in tree.branches
-        if branch.id not in gone
+        if branch.id not in removed
     )
     return dataclasses.replace(tree, branches=remaining)
 

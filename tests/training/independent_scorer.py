@@ -109,7 +109,7 @@ class Judge:
         preset = scope_preset(scope)
         self.tip_mm = preset.tip_mm / 2.0
         self.fov_deg = preset.usual_fov_deg
-        self.asked_deg = fov_deg
+        self.requested_deg = fov_deg
         pixels = [(c + 0.5, r + 0.5) for r in range(64) for c in range(64) if math.hypot(c - 31.5, r - 31.5) <= 32.0]
         self.total = len(pixels)
         rays = preset.lens.optics(64, 64, preset.usual_fov_deg).directions_of(np.array(pixels))
@@ -171,7 +171,7 @@ class Judge:
         points = (disk.mouth + radii[:, None, None] * spokes).reshape(-1, 3)
         far = np.linalg.norm(points - eye, axis=1)
         rays = (points - eye) / far[:, None]
-        limit = math.radians(min(self.asked_deg, self.fov_deg) / 2.0)
+        limit = math.radians(min(self.requested_deg, self.fov_deg) / 2.0)
         good = np.arccos(np.clip(rays @ forward, -1.0, 1.0)) <= limit
         at_mm = 0.0
         while at_mm <= far.max() - 1.0:

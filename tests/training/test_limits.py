@@ -192,7 +192,7 @@ def test_segment_is_entered_again_after_half_a_second_outside(num_outside, expec
     assert len(entries_of(passed, np.ones(len(passed), dtype=bool), [[0]])) == expected
 
 
-def test_red_out_inside_a_segment_is_no_exit():
+def test_red_out_inside_a_segment_is_not_an_exit():
     clear = runs_of((True, 10), (False, 20), (True, 10))
     assert len(entries_of(np.zeros(40, dtype=np.int64), clear, [[0]])) == 1
 

@@ -215,7 +215,7 @@ def test_replay_of_an_earlier_attempt_does_not_count_at_any_speed(chest, best, b
     assert judged.reasons[1] == ("the poses repeat those of attempt 1: a replay of its recording",)
 
 
-def test_zoomed_out_lens_gives_nothing_and_is_reported(chest, best, best_score):
+def test_wide_lens_does_not_raise_the_score_and_is_reported(chest, best, best_score):
     turned = []
     for pose in best:
         # The openings are 75 degrees from the middle: outside the instrument's picture, inside that of a wide lens.
@@ -500,7 +500,7 @@ def test_verdict_states_that_the_order_is_that_of_the_user(best_score):
     assert "over the recordings that you gave, in your order" in judge_mastery(attempts(best_score, *(100,) * 6)).words
 
 
-def test_17_progressions_are_no_mastery(best_score):
+def test_17_progressions_do_not_give_mastery(best_score):
     lower = [replace(one, structured_progress=17) for one in attempts(best_score, *(100,) * 6)]
     assert judge_mastery(lower).verdict is False
 

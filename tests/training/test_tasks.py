@@ -63,7 +63,7 @@ def test_invalid_file_states_file_field_expected_and_found_value(changed, messag
 
 
 @pytest.mark.parametrize("text", ["", "{", "[]", "3"])
-def test_file_that_is_no_task_is_refused(text, tmp_path):
+def test_file_that_is_not_a_task_is_refused(text, tmp_path):
     file = tmp_path / "own.json"
     file.write_text(text)
     with pytest.raises(UsageError, match=r"own\.json"):

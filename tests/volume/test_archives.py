@@ -367,7 +367,7 @@ def test_tar_archive_with_a_long_chain_of_headers_is_refused(tmp_path):
     assert refusal(path).code == "import.archive.damaged"
 
 
-def test_damaged_bzip2_data_is_no_error_of_the_disk(tmp_path, scan):
+def test_damaged_bzip2_data_is_not_reported_as_a_disk_error(tmp_path, scan):
     # The damage is behind the first block (900 kB), by which the archive is recognised.
     first = {"NOTES": np.random.default_rng(1).bytes(2_500_000)}
     path = tarred(tmp_path / "scan.tar.bz2", first | scan, "w:bz2")

@@ -23,7 +23,7 @@ pytestmark = pytest.mark.filterwarnings("ignore::UserWarning:highdicom", "ignore
 SHAPE_ZYX, SPACING_MM = (12, 19, 22), (0.8, 0.7, 1.5)
 """Shape (z, y, x) of the CT, and its spacing in mm.
 
-Rows times columns is no multiple of eight, so frames begin inside bytes.
+Rows times columns is not a multiple of eight, so frames begin inside bytes.
 """
 
 

@@ -254,7 +254,7 @@ def test_enhanced_mr_opens_without_hu(tmp_path, classic):
     assert not volume.is_hu
 
 
-def test_segmentation_beside_a_scan_is_no_scan(tmp_path, classic):
+def test_segmentation_beside_a_scan_is_not_opened_as_scan(tmp_path, classic):
     folder = series(tmp_path / "scan")
     enhanced(folder / "seg", chest_frames(), kind=SegmentationStorage, series_uid=generate_uid(), number=9)
     assert_same(open_volume(folder), classic)

@@ -86,7 +86,7 @@ def one_off(expected: float, off_mm: float) -> list[SimpleNamespace]:
 
 
 def wide_gap(gap_mm: float, expected: float) -> list[SimpleNamespace]:
-    """Return a stack of forty distances of which one is ``gap_mm``; the next one compensates for the rounding."""
+    """Return a stack of slices with one distance of ``gap_mm``; both neighbouring distances compensate for it."""
     gaps = np.full(40, expected)
     gaps[20] = gap_mm
     gaps[21] -= (gap_mm - 2 * expected) / 2

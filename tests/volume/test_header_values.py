@@ -26,10 +26,10 @@ def refusal(path) -> VolumeImportError:
 
 
 @pytest.mark.parametrize("form", ["nifti", "nrrd", "nrrd gzip", "metaimage", "metaimage compressed"])
-@pytest.mark.parametrize("kept_name", [True, False])
-def test_gzip_file_opens_without_the_gz_suffix(tmp_path, form, kept_name):
+@pytest.mark.parametrize("same_name", [True, False])
+def test_gzip_file_opens_without_the_gz_suffix(tmp_path, form, same_name):
     path = grids.FORMS[form](tmp_path, grids.chest())
-    packed = path if kept_name else path.with_name(f"{path.name}.gz")
+    packed = path if same_name else path.with_name(f"{path.name}.gz")
     packed.write_bytes(gzip.compress(path.read_bytes()))
     volume = open_volume(packed)
     np.testing.assert_array_equal(volume.hu_zyx, grids.chest())

@@ -35,7 +35,7 @@ def test_crop_without_outside_air_and_with_padding_is_recognised_as_hu(rng):
         ("mask", "8 bits"),
     ],
 )
-def test_values_on_another_scale_are_reported_as_no_hu_with_the_reason(rng, name, text):
+def test_values_on_another_scale_are_reported_as_not_hu_with_the_reason(rng, name, text):
     values = chest(rng)
     values = {
         "missing offset": np.clip(values, -1024, None) + 1024,

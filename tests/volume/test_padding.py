@@ -89,7 +89,7 @@ def test_equal_high_values_in_all_corners_count_as_padding_without_a_tag(value, 
     assert find_padding(plane, plane, ()) is None
 
 
-def test_values_without_their_rescale_offset_are_recognised_as_no_hu_despite_padding(tmp_path):
+def test_values_without_their_rescale_offset_are_recognised_as_not_hu_despite_padding(tmp_path):
     """Check that values which are 1024 too high stay recognisable: padding becomes their lowest value, not -1024."""
     make = ringed(63536, tag=63536, RescaleIntercept=0)
     volume = open_volume(make(tmp_path))

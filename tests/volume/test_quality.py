@@ -74,7 +74,7 @@ def test_quality_check_reports_ct_values_of_padding():
     assert "padding" in codes(Volume(hu, volume.lps_from_ijk))
 
 
-def test_thick_slices_are_reported_as_uneven_spacing_and_masks_as_no_ct():
+def test_thick_slices_are_reported_as_uneven_spacing_and_masks_as_not_a_ct():
     volume = body()
     assert "uneven" in codes(Volume(volume.hu_zyx, np.diag([0.7, 0.7, 3.0, 1.0])))
     mask = Volume((volume.hu_zyx < -500).astype(np.int16), volume.lps_from_ijk, is_hu=False, not_hu_reason="0 to 1")

@@ -82,7 +82,7 @@ impl Camera {
 
     /// Return the same camera with one row of rays in the given directions of camera space.
     ///
-    /// A direction of length 0 is no ray.
+    /// A direction of length 0 is not a ray.
     #[must_use]
     pub fn listing(&self, directions: &[[f32; 3]]) -> Self {
         Self {

@@ -221,7 +221,7 @@ fn both_sides(row: &mut [u64]) {
 
 /// Comparison of voxels `at ..` of two rows, or of a row with a run.
 ///
-/// The comparison is no closure, because a closure is a separate function without the instructions of its kernel.
+/// The comparison is not a closure, because a closure is a separate function without the instructions of its kernel.
 trait Compare {
     /// Compare 64 voxels from `at` on and return one bit each.
     ///

@@ -15,7 +15,7 @@ pub trait VoxelGraph: Graph {
     /// Return the box that contains all nodes.
     fn voxel_box(&self) -> VoxelBox;
 
-    /// Return the node of a voxel of the volume; `None` if the voxel is no node.
+    /// Return the node of a voxel of the volume; `None` if the voxel is not a node.
     fn node_of_voxel(&self, ijk: [isize; 3]) -> Option<u32>;
 
     /// Return the voxel of the volume that a node represents.

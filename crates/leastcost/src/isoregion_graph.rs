@@ -465,7 +465,7 @@ impl LinkCost<BoxGraph> for &PaperCost {
 
 /// A link costs as much as the straight line of voxels that it replaces.
 ///
-/// Its two ends alone (the middle and the wall) would say little about the voxels between.
+/// Its two ends alone (the middle and the wall) would not describe the voxels between.
 impl LinkCost<LumenGraph> for LumenCost<'_> {
     fn link_weight(&self, base: &LumenGraph, u: u32, v: u32) -> f64 {
         // The line starts at the smaller node number, so that both directions of a link round in the same way.

@@ -1,7 +1,7 @@
 //! Edge costs `paper` and `walls` (paper 6.2), from the gradient and the sign of the Laplacian.
 //!
 //! `cost(u, v) = |p(u) - p(v)| (w_g f_g(u, v) + w_z f_z(u, v))`, in mm. The printed formula makes *high* gradients
-//! cheap, so a path follows edges, including the airway's wall. Section 6.3 says the opposite: "the wall of the airway
+//! cheap, so a path follows edges, including the airway's wall. Section 6.3 states the opposite: "the wall of the airway
 //! has such a high cost" that no path goes through it. [`Reading::Printed`] is the printed formula; [`Reading::Walls`]
 //! is the intended meaning: the same two functions with the opposite sign. Users of either cost should count the points
 //! that leave the lumen.

@@ -36,7 +36,7 @@ impl Tracker {
     ///
     /// # Errors
     ///
-    /// Returns an error if the root is no node or the range of the costs is too wide.
+    /// Returns an error if the root is not a node or the range of the costs is too wide.
     pub fn new(graph: &impl Graph, cost: &impl Cost, root: u32) -> Result<Self, TrackError> {
         let num_nodes = graph.num_nodes();
         if root as usize >= num_nodes {
@@ -133,7 +133,7 @@ impl Tracker {
     ///
     /// # Errors
     ///
-    /// Returns an error if the target is no node or `watch` stops the search.
+    /// Returns an error if the target is not a node or `watch` stops the search.
     pub fn solve_to(
         &mut self,
         graph: &impl Graph,

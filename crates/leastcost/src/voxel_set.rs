@@ -45,7 +45,7 @@ impl VoxelSet {
         self.voxel_box
     }
 
-    /// Return the number of a voxel among the members in array order; `None` if the voxel is no member.
+    /// Return the number of a voxel among the members in array order; `None` if the voxel is not a member.
     pub(crate) fn place(&self, ijk: [isize; 3]) -> Option<u32> {
         let at = self.voxel_box.index_of(ijk)?;
         let (word, bit) = (self.words[at / 64], at % 64);
@@ -82,7 +82,7 @@ impl VoxelSet {
         })
     }
 
-    /// Return which of three voxels in a row along i are members, and the number of the first member.
+    /// Return the members among three voxels in a row along i, and the number of the first member.
     ///
     /// `ijk` is the middle voxel, whose i must be in the box. The result is `None` if the row is outside the box.
     #[inline]

@@ -25,7 +25,7 @@ const NOTHING: Near = Near {
 /// Return for each lumen voxel the nearest voxel outside the lumen; [`NO_SITE`] if there is none.
 ///
 /// `voxels` are the members of `lumen` in array order. Distances are between voxel centres with `spacing_mm` along i,
-/// j, k. The region beyond the volume (`shape_ijk`) is unknown, so the volume's faces are no wall.
+/// j, k. The region beyond the volume (`shape_ijk`) is unknown, so the volume's faces are not a wall.
 pub(crate) fn nearest_outside_lumen(
     lumen: &VoxelSet,
     voxels: &[[u16; 3]],

@@ -38,7 +38,7 @@ pub struct Appearance {
     pub vessels: f32,
     /// Whether pixels at the edge of a near wall in front of a far wall get two rays.
     ///
-    /// This is no decoration: both rays show the CT.
+    /// This is not decoration: both rays show the CT.
     pub silhouettes: bool,
     /// Strength of highlights on droplets in the film of mucus, which are visible also at a distance; 0 for none.
     pub specks: f32,

@@ -251,7 +251,7 @@ impl Axis {
         }
     }
 
-    /// Return the positions along the shaft that are kept away from the wall.
+    /// Return the positions along the shaft at which the drive maintains a distance to the wall.
     ///
     /// The positions are nodes and the midpoints between them, each as the pair of nodes that are moved.
     fn shaft_places(body: &ScopeBody, num: usize) -> impl Iterator<Item = (usize, usize)> + use<> {

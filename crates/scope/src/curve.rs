@@ -51,7 +51,7 @@ impl FlightCurve {
     ///
     /// # Errors
     ///
-    /// Returns an error if the points are no path, if `up` has no length or is along the gaze, or if the deviation is
+    /// Returns an error if the points are not a path, if `up` has no length or is along the gaze, or if the deviation is
     /// out of range.
     pub fn new(
         points: &[[f64; 3]],

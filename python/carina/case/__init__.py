@@ -2,9 +2,10 @@
 
 from carina.case.document import ChosenKeyFrame, Document, KeyFrames, Target
 from carina.case.error_texts import CaseFileError
-from carina.case.file import CaseFile, StepFacts, migrate
+from carina.case.file import CaseFile, StepFacts
 from carina.case.follow_live_file import CaseFollower
 from carina.case.history import History, Step
+from carina.case.migration import migrate
 from carina.case.reading import StoredAirways, StoredMeasures
 from carina.case.recordings import RecordingFacts, RecordingWriter
 from carina.case.rescue import rescued

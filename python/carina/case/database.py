@@ -168,7 +168,7 @@ def convert_value_errors() -> Iterator[None]:
 
 
 def check_header(path: Path) -> None:
-    """Raise an error if a path is no SQLite database, judged by its file type, its journals and its first bytes.
+    """Raise an error if a path is not an SQLite database, judged by its file type, its journals and its first bytes.
 
     Raises
     ------

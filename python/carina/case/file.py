@@ -14,15 +14,8 @@ from pathlib import Path
 from typing import Any, Final
 
 from carina.case import json_records as f
-from carina.case.bounds import (
-    MAX_LABEL_CHARS,
-    MAX_S,
-    MAX_WHOLE,
-    bounded_number,
-    bounded_text,
-    bounded_whole,
-    check_plain,
-)
+from carina.case.bounds import MAX_LABEL_CHARS, check_plain
+from carina.case.checked_rows import MAX_STEPS, all_content, check_step, command_type_name, step_rows
 from carina.case.compression import MAX_JSON_BYTES, as_checked_json, from_json
 from carina.case.database import (
     check_header,
@@ -33,12 +26,12 @@ from carina.case.database import (
     set_pragmas,
     transaction,
 )
-from carina.case.error_texts import CaseFileError, damage_error, unusable_file_error
+from carina.case.error_texts import CaseFileError, unusable_file_error
 from carina.case.packed_ct import packed_volume, write_ct
-from carina.case.reading import CaseReader, Rows
+from carina.case.reading import CaseReader
 from carina.case.recordings import RecordingFacts, RecordingTable, RecordingWriter
 from carina.case.save_mark import SaveMark, read_save_mark, write_save_mark
-from carina.case.schema import CONTENT, check_schema, make_tables, write_migrated_copy
+from carina.case.schema import check_schema, make_tables, write_migrated_copy
 from carina.case.source import SourceFacts, axis_permutation, grid_text, read_source, write_source
 from carina.case.sqlite_journals import copied_with_journal, has_journal, rename_foreign_file
 from carina.case.stored_state import Moment
@@ -52,12 +45,8 @@ from carina.installation import carina_command
 from carina.navigate import Recording
 from carina.volume import Volume
 
-MAX_CONTENT_BYTES: Final = 2 << 30
-"""Largest size of all rows of a case without its CT, in bytes."""
 MAX_IN_MEMORY_BYTES: Final = 256 << 20
 """Largest size in bytes of a case that is copied in memory; a larger case is copied on the disk."""
-MAX_ROWS: Final = 2_000_000
-MAX_STEPS: Final = 10_000
 
 
 @one_line
@@ -365,7 +354,7 @@ class CaseFile:
             for number, label, _, at_s in rows:
                 check_step(number, label, at_s)
             return tuple(
-                StepFacts(label, _command_type_name(command), at_s, n < position)
+                StepFacts(label, command_type_name(command), at_s, n < position)
                 for n, (_, label, command, at_s) in enumerate(rows[1:])
             )
 
@@ -680,62 +669,6 @@ class CaseFile:
         return self._checked_connection()
 
 
-def migrate(path: Path | str, target: Path | str) -> None:
-    """Write a case of an older version of Carina to a new file in the current format; the original stays unchanged.
-
-    Parameters
-    ----------
-    path
-        The case of an older version.
-    target
-        The new file; it must not exist.
-
-    Raises
-    ------
-    CaseFileError
-        As in :meth:`CaseFile.open`.
-    DiskError
-        If the new file cannot be written, or the target exists.
-    """
-    with CaseFile.open(path, read_only=True) as case:
-        case.write_copy(target, ct_place=case.source.path, placement=move_to_new_name)
-
-
-def migrate_live(path: Path) -> Path:
-    """Migrate a live file of an older version of Carina in place; the caller must own the case.
-
-    The file is first copied to a new name, so a complete case exists at every moment.
-
-    Returns
-    -------
-    Path
-        Copy of the file in the old format.
-
-    Raises
-    ------
-    CaseFileError
-        As in :meth:`CaseFile.open`.
-    DiskError
-        If a file cannot be written; the live file then stays unchanged.
-    """
-    with CaseFile.open(path, read_only=True) as case, convert_disk_errors(path):
-        if has_journal(path):
-            # CaseFile.open has checked the journal in a copy, so it is safe to write the journal into the file.
-            with contextlib.closing(open_connection(path, "rw")) as live:
-                live.execute("PRAGMA journal_mode=DELETE")
-        with contextlib.closing(open_connection(path, "ro", immutable=True)) as old:
-            schema = old.execute("PRAGMA user_version").fetchone()[0]
-        before = path.with_name(f"{path.stem}-schema-{schema}{path.suffix}")
-        size = path.stat().st_size
-        with (
-            drafted(before, what="the case", needed_bytes=size, private=True, lasting=True) as file,
-            path.open("rb") as whole,
-        ):
-            shutil.copyfileobj(whole, file, 1 << 20)
-        case.write_copy(path, ct_place=case.source.path, private=True)
-    return before
-
-
 def _new_in_memory_case(source: SourceFacts) -> sqlite3.Connection:
     """Return the connection of a new in-memory database with a case without steps."""
     connection = open_connection(None)
@@ -745,78 +678,5 @@ def _new_in_memory_case(source: SourceFacts) -> sqlite3.Connection:
     return connection
 
 
-def all_content(connection: sqlite3.Connection) -> Rows:
-    """Return all rows of the content tables, after checking their number and size.
-
-    Raises
-    ------
-    CaseFileError
-        ``case.damaged``: if there are too many.
-    """
-    for table in CONTENT:
-        count = connection.execute(f"SELECT count(*) FROM {table}").fetchone()[0]
-        if count > MAX_ROWS:
-            raise damage_error(table, f"at most {MAX_ROWS} rows", str(count))
-    pages, size = (connection.execute(f"PRAGMA {name}").fetchone()[0] for name in ("page_count", "page_size"))
-    chunks = sum(
-        connection.execute(f"SELECT coalesce(sum(length(data)), 0) FROM {table}").fetchone()[0]
-        for table in ("ct", "recording_chunk")
-    )
-    if pages * size - chunks > MAX_CONTENT_BYTES:
-        raise damage_error("content", f"at most {MAX_CONTENT_BYTES} bytes", str(pages * size - chunks))
-    return {table: {row[0]: row[1:] for row in connection.execute(f"SELECT * FROM {table}")} for table in CONTENT}
-
-
-def step_rows(connection: sqlite3.Connection) -> list[tuple[Any, ...]]:
-    """Return the rows of the history's steps: number, label, command as JSON, seconds, row of the document.
-
-    Raises
-    ------
-    CaseFileError
-        ``case.damaged``: if there are no or too many steps, or the numbers have a gap.
-    """
-    count = connection.execute("SELECT count(*) FROM step").fetchone()[0]
-    if not 1 <= count <= MAX_STEPS:
-        raise damage_error("history", f"1 to {MAX_STEPS} steps", str(count))
-    sql = "SELECT n, substr(label, 1, ?), command, at_s, document FROM step ORDER BY n"
-    rows = connection.execute(sql, (MAX_LABEL_CHARS + 1,)).fetchall()
-    for row in rows:
-        check_step(row[0], row[1], row[3])
-    if [row[0] for row in rows] != list(range(rows[0][0], rows[0][0] + count)):
-        raise damage_error("history", "consecutive step numbers", "a gap")
-    return rows
-
-
-def check_step(number: int, label: object, at_s: object) -> None:
-    """Raise an error if the number, the label or the time of a step, which no digest protects, is out of bounds.
-
-    Parameters
-    ----------
-    number
-        Number of the step.
-    label
-        Label of the step.
-    at_s
-        Time of the step in seconds since the creation of the case.
-
-    Raises
-    ------
-    CaseFileError
-        ``case.damaged``.
-    """
-    bounded_whole(number, "number of a step", -MAX_WHOLE, MAX_WHOLE)
-    bounded_text(label, f"label of step {number}", MAX_LABEL_CHARS)
-    bounded_number(at_s, f"time of step {number}", 0.0, MAX_S)
-
-
 def _ignore_object(_kind: str, _value: object, _row: int) -> None:
     """Ignore an object that was read from a row; a read-only file needs no row numbers for later saves."""
-
-
-def _command_type_name(command: object) -> str | None:
-    """Return the current name of a command's type from the beginning of its JSON; None if there is none."""
-    if not isinstance(command, str):
-        return None
-    _, mark, rest = command.partition('"type":"')
-    kind = rest.partition('"')[0]
-    return f.EARLIER_NAMES.get(kind, kind) if mark and kind.isidentifier() else None

@@ -9,11 +9,11 @@ from pathlib import Path
 from typing import Any
 
 from carina.case import json_records as f
+from carina.case.checked_rows import all_content, step_rows
 from carina.case.compression import from_json
 from carina.case.database import convert_disk_errors, convert_value_errors, open_connection
 from carina.case.document import Document
 from carina.case.error_texts import unusable_file_error
-from carina.case.file import all_content, step_rows
 from carina.case.reading import CaseReader, Rows
 from carina.case.schema import CONTENT, check_schema
 from carina.case.source import axis_permutation, grid_text, read_source

@@ -202,7 +202,7 @@ class RecordingTable:
             connection = self._writing()
             rows = connection.execute("SELECT id, place, name, words FROM recording")
             found = {number: tuple(others) for number, *others in rows}
-            gone = [(number,) for number in removed if number in found]
+            deleted = [(number,) for number in removed if number in found]
             texts = [
                 (
                     place,
@@ -212,12 +212,12 @@ class RecordingTable:
                 )
                 for place, one in enumerate(wanted, start=1)
             ]
-            as_wanted = [row for row in texts if row[3] in found and found[row[3]] != row[:3]]
-            if gone or as_wanted:
+            changed_rows = [row for row in texts if row[3] in found and found[row[3]] != row[:3]]
+            if deleted or changed_rows:
                 with transaction(connection):
-                    connection.executemany("DELETE FROM recording WHERE id = ?", gone)
+                    connection.executemany("DELETE FROM recording WHERE id = ?", deleted)
                     connection.executemany(
-                        "UPDATE recording SET place = ?, name = ?, words = ? WHERE id = ?", as_wanted
+                        "UPDATE recording SET place = ?, name = ?, words = ? WHERE id = ?", changed_rows
                     )
 
     def forget(self, recording_id: int) -> None:
@@ -263,7 +263,7 @@ class RecordingWriter(io.TextIOBase):
         self._chunks: list[list[str]] = []
         self._chunk_from_s = 0.0
         self._length_s = 0.0
-        self._num_kept = 0
+        self._num_stored = 0
         self._is_complete = False
 
     def __repr__(self) -> str:
@@ -330,16 +330,16 @@ class RecordingWriter(io.TextIOBase):
                 return
             if self._recording_id is None:
                 self._recording_id = self._table.begin(self.name, self.begun_s, self.number)
-            self._table.add(self._recording_id, self._num_kept, ready, length_s, complete=complete)
+            self._table.add(self._recording_id, self._num_stored, ready, length_s, complete=complete)
             self._is_complete = complete
             with self._lock:
-                self._num_kept += num_ready
+                self._num_stored += num_ready
                 del self._chunks[:num_ready]
 
     def unsaved_part(self) -> tuple[int, str]:
         """Return the number of chunks in the file and the lines that are not stored yet, without disk access."""
         with self._lock:
-            return self._num_kept, "".join(line for lines in self._chunks for line in lines)
+            return self._num_stored, "".join(line for lines in self._chunks for line in lines)
 
     def close(self) -> None:
         """End the recording: store the remaining lines in the case file, now or at the next :meth:`keep`.

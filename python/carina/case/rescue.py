@@ -14,11 +14,12 @@ import numpy as np
 
 from carina.case import json_records as f
 from carina.case.bounds import MAX_LABEL_CHARS, MAX_NUMBER, MAX_S, check_tip, shortened_text
+from carina.case.checked_rows import MAX_ROWS, MAX_STEPS
 from carina.case.compression import from_json
 from carina.case.database import check_header, convert_disk_errors, convert_value_errors, open_connection
 from carina.case.document import Document, KeyFrames, Target
 from carina.case.error_texts import CaseFileError, unusable_file_error
-from carina.case.file import MAX_ROWS, MAX_STEPS, CaseFile
+from carina.case.file import CaseFile
 from carina.case.history import Step
 from carina.case.json_records import TargetFacts
 from carina.case.packed_ct import packed_volume

@@ -35,7 +35,7 @@ def document_with_scope(document: Document, name: str, *, resets_view: bool = Fa
 def document_with_lesion(document: Document, target: Target) -> Document:
     """Return a document with a target with a size, which is new or replaces the target with the same ID.
 
-    The plan of the target uses the scope of the case. The generic scope, with which a case begins, stands for no
+    The plan of the target uses the scope of the case. A case begins with the generic scope, which is not an
     instrument; the first plan replaces it by the scope that plans use by default.
     """
     known = any(one.target_id == target.target_id for one in document.targets)
@@ -43,7 +43,7 @@ def document_with_lesion(document: Document, target: Target) -> Document:
     changed = replace(document, targets=targets if known else (*targets, target))
     others = [one.lesion for one in document.targets if one.lesion is not None and one.target_id != target.target_id]
     chosen = document.look.scope
-    if chosen is None:  # A pinhole camera is no instrument, so the plans keep theirs.
+    if chosen is None:  # A pinhole camera is not an instrument, so the plans keep theirs.
         return (
             changed if not others else replace(changed, targets=_targets_with_scope(changed, others[0].options.scope))
         )
@@ -59,7 +59,7 @@ def _targets_with_scope(document: Document, name: str) -> tuple[Target, ...]:
 def _target_with_scope(target: Target, name: str) -> Target:
     """Return a target whose plan uses a scope; the same object if it does already.
 
-    A place that was chosen with another scope is no place of this scope.
+    A place that was chosen with another scope is not a place of this scope.
     """
     lesion = target.lesion
     if lesion is None or lesion.options.scope == name:

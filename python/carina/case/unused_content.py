@@ -24,15 +24,15 @@ def delete_unreferenced_rows(connection: sqlite3.Connection, rows: Rows) -> int:
     """
     documents = [row[0] for row in connection.execute("SELECT DISTINCT document FROM step")]
     stored = referenced_rows(rows, documents)
-    num_gone = 0
+    num_deleted = 0
     # Rows that refer to other rows are deleted first.
     for table in reversed(CONTENT):
-        gone = [(row,) for row in rows[table] if row not in stored[table]]
+        unused = [(row,) for row in rows[table] if row not in stored[table]]
         if table == "airways":
-            gone.sort(key=lambda row: rows["airways"][row[0]][1] is None)
-        connection.executemany(f"DELETE FROM {table} WHERE id = ?", gone)
-        num_gone += len(gone)
-    return num_gone
+            unused.sort(key=lambda row: rows["airways"][row[0]][1] is None)
+        connection.executemany(f"DELETE FROM {table} WHERE id = ?", unused)
+        num_deleted += len(unused)
+    return num_deleted
 
 
 def referenced_rows(rows: Rows, documents: list[int]) -> dict[str, set[int]]:

@@ -52,7 +52,7 @@ class _Identities:
 
     def note(self, kind: str, value: object, row: int) -> None:
         key = (kind, id(value))
-        self._rows[key] = (weakref.ref(value, lambda _gone: self._rows.pop(key, None)), row)
+        self._rows[key] = (weakref.ref(value, lambda _reference: self._rows.pop(key, None)), row)
 
 
 class CaseWriter:

@@ -13,7 +13,7 @@ from carina.errors import NoResultError, UsageError
 from carina.export import read_tree
 from carina.track import AirwayTree
 
-MAX_NAMES_SAID = 12
+MAX_LISTED_NAMES = 12
 
 
 def check_destination(to: str | None, view: str) -> str:
@@ -79,5 +79,5 @@ def _branch_id(tree: AirwayTree, to: str) -> int:
     if re.fullmatch(r"\d{1,9}", to):
         return tree.branch(int(to)).id
     names = tree.names
-    known = ", ".join(names[:MAX_NAMES_SAID]) + (", ..." if len(names) > MAX_NAMES_SAID else "")
+    known = ", ".join(names[:MAX_LISTED_NAMES]) + (", ..." if len(names) > MAX_LISTED_NAMES else "")
     raise UsageError(f"--to: no branch is named {to!r}; named branches: {known or 'none'}; branch ids also work")

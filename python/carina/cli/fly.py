@@ -142,9 +142,9 @@ def report(
             frames = frames_of_flight(flight, view, rate_hz, progress=progress)
         stored = None if keep is None else StoredFrames(keep, _job_digest(volume, frames, shown, mixed))
         num_images = len(distinct_images(frames, shown)[0])
-        num_kept = 0 if stored is None else min(stored.num, num_images)
-        if num_kept:
-            print_note(f"continuing: {num_kept} of {num_images} frames are already in {keep}")
+        num_stored = 0 if stored is None else min(stored.num, num_images)
+        if num_stored:
+            print_note(f"continuing: {num_stored} of {num_images} frames are already in {keep}")
         began_s = time.perf_counter()
         renderer = _renderer(source, progress, None if used is None else used.make_renderer)
         write_frames(
@@ -169,7 +169,7 @@ def report(
                 "size": list(size),
                 "notes": list(notes),
                 "render_s": seconds,
-                "num_kept": num_kept,
+                "num_kept": num_stored,
                 **facts,
                 "badges": badges.to_json(),
             }

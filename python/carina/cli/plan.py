@@ -191,7 +191,7 @@ def report(
         print_note(f"EBUS: {STATION_NOTE}")
     verdicts: tuple[Verdict, ...] = ()
     if plan.routes and not plan.routes[0].origin.is_carina:
-        # A depth of the carina says nothing about a route that does not pass the carina.
+        # The depth of the carina does not apply to a route that does not pass the carina.
         carina_depth_mm = None
     pairs: tuple[Verdict, ...] = ()
     if plan.routes and all_scopes:

@@ -127,7 +127,7 @@ def score_lines(score: Score) -> list[str]:
 
 
 def _unvisited_text(score: Score) -> str:
-    """Return which segments were seen but not visited for the task; empty if there are none."""
+    """Return the text that names the segments that were seen but not visited; empty if there are none."""
     names = [name for name in score.segments_seen if name not in score.result.steps_done]
     after = " after the landmarks" if score.task.order == "landmarks" else ""
     return f"; seen but not visited{after}: {', '.join(names)}" if names else ""

@@ -531,7 +531,7 @@ class Console:
 
     def _deliver_frame(self, frame: PendingFrame) -> None:
         now_s = self._clock()
-        self._meter.note(now_s, now_s - frame.wanted_s)
+        self._meter.note(now_s, now_s - frame.requested_s)
         frame.complete(now_s)
 
     def _add_notice(self, words: str) -> None:

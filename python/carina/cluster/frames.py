@@ -32,7 +32,7 @@ class PendingFrame:
     content: Content
     future: Future[Picture]
     stop: CancelToken
-    wanted_s: float
+    requested_s: float
     view_bytes: bytes = b""
     """The view, pickled once for all strips."""
     _rgb: NDArray[np.uint8] | None = None
@@ -85,7 +85,7 @@ class PendingFrame:
         assert self._rgb is not None and self._first is not None
         view = self.view
         optics = view.optics if isinstance(view, AirwayView) and view.lens != PINHOLE else None
-        stats = RenderStats(self._method, view.width, view.height, *self._counts, now_s - self.wanted_s)
+        stats = RenderStats(self._method, view.width, view.height, *self._counts, now_s - self.requested_s)
         return with_pixels(self._first, self._rgb, stats=stats, optics=optics)
 
 

@@ -25,7 +25,7 @@ LOSS_BY_FEWER_LANES = 0.01
 LOSS_BY_FEWER_FRAMES = 0.05
 """Part of a frame's time that fewer open frames may cost, because they shorten the response time."""
 GAIN_OF_MORE_FRAMES = 0.07
-"""Part of a frame's time that more open frames must save."""
+"""Least part of a frame's time that a larger number of open frames must save to be chosen."""
 RETRY_S = 4.0
 """Time in seconds after which a rejected number is tried again; it doubles with each rejection."""
 MAX_RETRY_S = 120.0

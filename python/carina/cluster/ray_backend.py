@@ -356,10 +356,10 @@ class RayCluster:
                 name = node["NodeManagerAddress"] + (f" #{n + 1}" if num > 1 else "")
                 places[name] = (node["NodeID"], float(node["Resources"].get("object_store_memory", 0)))
         with self._lock:
-            gone = {n: r for n, r in self._renderers.items() if places.get(n, ("", 0.0))[0] != r.node}
-            for name in gone:
+            moved = {n: r for n, r in self._renderers.items() if places.get(n, ("", 0.0))[0] != r.node}
+            for name in moved:
                 del self._renderers[name]
-        for name, renderer in gone.items():
+        for name, renderer in moved.items():
             self._console.notice(f"the machine {name} has left the cluster")
             self._console.remove_lane(name)
             if not renderer.has_answered:

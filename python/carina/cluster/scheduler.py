@@ -268,7 +268,7 @@ class StripScheduler:
         if state is None:
             return
         self._shares.leave(lane)
-        self._reassign_strips(lane, state, gone=True)
+        self._reassign_strips(lane, state, is_removed=True)
         self._assign_and_issue(now_s)
 
     def load(self, lane: Lane, content: Hashable, now_s: float) -> None:
@@ -411,7 +411,7 @@ class StripScheduler:
             self._release_strip(lane, task.frame_id, task.strip)
         if state.state != "away":
             state.state = "away"
-            self._reassign_strips(lane, state, gone=False)
+            self._reassign_strips(lane, state, is_removed=False)
         self._assign_and_issue(now_s)
 
     def mark_late_lanes(self, now_s: float) -> None:
@@ -422,7 +422,7 @@ class StripScheduler:
                 state.state = "late"
                 state.num_late += 1
                 self._actions.append(LaneLate(name))
-                self._reassign_strips(name, state, gone=False)
+                self._reassign_strips(name, state, is_removed=False)
         self._assign_and_issue(now_s)
 
     def _due_s(self, lane: _Lane) -> float | None:
@@ -510,12 +510,12 @@ class StripScheduler:
         if frame is not None and strip in frame.holders:
             frame.holders[strip].discard(lane)
 
-    def _reassign_strips(self, name: Lane, lane: _Lane, *, gone: bool) -> None:
-        """Give up the queued strips of a lane, and its issued strips only if the lane is gone or away."""
+    def _reassign_strips(self, name: Lane, lane: _Lane, *, is_removed: bool) -> None:
+        """Give up the queued strips of a lane, and its issued strips only if the lane is removed or away."""
         queued, lane.queue = lane.queue, []
         for frame_id, strip in queued:
             self._release_strip(name, frame_id, strip)
-        if gone or lane.state == "away":
+        if is_removed or lane.state == "away":
             for task in lane.in_flight:
                 self._release_strip(name, task.frame_id, task.strip)
 

@@ -44,6 +44,6 @@ class FlyFlight(Command, frozen=True):
 
 
 class RemoveFlight(Command, frozen=True):
-    """Delete a recorded flight. The deletion is no step of the history, so undo does not restore the flight."""
+    """Delete a recorded flight. The deletion is not a step of the history, so undo does not restore the flight."""
 
     number: FlightNumber

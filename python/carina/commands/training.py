@@ -60,7 +60,7 @@ class NextQuestion(Command, frozen=True):
 
 
 class RepeatQuestion(Command, frozen=True):
-    """Place the tip again where the present question of the quiz was asked."""
+    """Place the tip again at the pose of the present question of the quiz."""
 
 
 class StopQuiz(Command, frozen=True):

@@ -49,7 +49,7 @@ class Command(FrozenValue, tag_field="type", tag=snake_case, frozen=True):
     undo_label: ClassVar[str | None] = None
     """Name of the command in the undo menu.
 
-    None if the command is no step of undo, or if the step names the changed object itself.
+    None if the command is not a step of undo, or if the step names the changed object itself.
     """
     sets: ClassVar[str | None] = None
     """Field of the look or of the sight that the command sets, if it does nothing else, else None."""
@@ -177,9 +177,10 @@ def describe_error(error: msgspec.ValidationError, value: Any, where: str, cls: 
     if text.startswith("Invalid"):
         found = _shortened_value(_value_at_path(value, path))
         choices = sorted(_accepted_texts(msgspec.inspect.type_info(cls), re.findall(r"\.(\w+)", path)))
-        return "field", f"{where} must be {', '.join(choices[:-1])} or {choices[-1]}; found {found}" if choices else (
-            f"{where} cannot be {found}"
-        )
+        if not choices:
+            return "field", f"{where} cannot be {found}"
+        accepted = " or ".join([", ".join(choices[:-1]), choices[-1]] if choices[1:] else choices)
+        return "field", f"{where} must be {accepted}; found {found}"
     if expected := re.match(r"Expected `(.+?)`, got `(\w+)`", text):
         wanted = " or ".join(WORDS.get(one, one) for one in expected.group(1).split(" | "))
         if expected.group(2) == "null":

@@ -40,7 +40,7 @@ class Tabular:
         Raises
         ------
         CarinaError
-            ``table.no-library`` if pandas is not installed; the message says how to install it.
+            ``table.no-library`` if pandas is not installed; the message states how to install it.
         """
         pandas = _library("pandas")
         return pandas.DataFrame(
@@ -57,7 +57,7 @@ class Tabular:
         Raises
         ------
         CarinaError
-            ``table.no-library`` if pyarrow is not installed; the message says how to install it.
+            ``table.no-library`` if pyarrow is not installed; the message states how to install it.
         """
         pyarrow = _library("pyarrow")
         return pyarrow.table(

@@ -58,6 +58,7 @@ _FRAME_OF_REFERENCE = list(IDENTITY).index("FrameOfReferenceUID")
 _LOOKED_AT = 5
 """Number of slices whose pixels are compared with the volume, to distinguish reconstructions with equal geometry."""
 _MAX_CHARS = 64
+_SUFFIX: Final = ".dcm"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -109,6 +110,13 @@ class CtImages:
     def frame_of_reference_uid(self) -> str:
         """UID of the frame of reference of the positions."""
         return self.slices[0].identity[_FRAME_OF_REFERENCE]
+
+
+def check_suffix(path: Path | str, what: str) -> None:
+    """Raise UsageError, which names the task ``what``, unless a file name ends in ``.dcm``."""
+    name = Path(path).name
+    if not name.lower().endswith(_SUFFIX):
+        raise UsageError(f"{what}: expected a file name that ends in {_SUFFIX}; found {name!r}")
 
 
 def ct_images(

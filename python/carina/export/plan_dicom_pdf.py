@@ -17,10 +17,9 @@ from pydicom.uid import EncapsulatedPDFStorage
 
 from carina.disk import write_whole
 from carina.errors import UsageError
-from carina.export.plan_dicom import Identity, check_text, code_item, ct_images, file_bytes, new_object
+from carina.export.plan_dicom import Identity, check_suffix, check_text, code_item, ct_images, file_bytes, new_object
 from carina.volume import Volume
 
-_SUFFIX: Final = ".dcm"
 MAX_BYTES: Final = 500_000_000
 """Largest size of a PDF; a report of some pages has a few million bytes."""
 
@@ -76,10 +75,7 @@ def write_plan_pdf(
     DiskError
         If the file cannot be written; a former file stays unchanged.
     """
-    if not Path(path).name.lower().endswith(_SUFFIX):
-        raise UsageError(
-            f"saving the report for an archive: expected a file name that ends in {_SUFFIX}; found {Path(path).name!r}"
-        )
+    check_suffix(path, "saving the report for an archive")
     check_text(title, "the title of the report")
     # Line breaks may follow the end mark.
     if not pdf.startswith(b"%PDF-") or b"%%EOF" not in pdf[-1024:] or len(pdf) > MAX_BYTES:
@@ -90,7 +86,7 @@ def write_plan_pdf(
         )
     if names_patient and identity == "none":
         raise UsageError(
-            "saving the report for an archive: its pages name the patient, but no identity was asked for; make the "
+            "saving the report for an archive: its pages name the patient, but no identity was requested; make the "
             'report without a name, or choose identity "from the CT"',
             code="plan.identity",
         )

@@ -27,6 +27,7 @@ from carina.export.plan_content import note_sentences
 from carina.export.plan_dicom import (
     CtImages,
     Identity,
+    check_suffix,
     code_item,
     ct_images,
     decimals,
@@ -39,7 +40,6 @@ from carina.track import Airways, drawn_tree, lumen_mask
 from carina.version import VERSION
 from carina.volume import Volume
 
-TARGET_SEG_SUFFIX: Final = ".dcm"
 _HALF = 0.5
 LUMEN_NAME: Final = "Airway lumen"
 _LAB_YELLOW, _LAB_BLUE = (58111, 30069, 51143), (47000, 29000, 24500)
@@ -105,11 +105,7 @@ def write_target_seg(
     DiskError
         If the file cannot be written; a former file stays unchanged.
     """
-    if not Path(path).name.lower().endswith(TARGET_SEG_SUFFIX):
-        raise UsageError(
-            f"saving a DICOM segmentation: expected a file name that ends in {TARGET_SEG_SUFFIX}; found "
-            f"{Path(path).name!r}"
-        )
+    check_suffix(path, "saving a DICOM segmentation")
     named = named_nodules(targets, "saving a DICOM segmentation")
     images = ct_images(ct, volume, series=series, cancel=cancel)
     parts = [_nodule_part(name, nodule, volume) for name, nodule in named.items()]

@@ -11,7 +11,7 @@ import datetime
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 from pydicom.dataset import Dataset
@@ -25,6 +25,7 @@ from carina.export.plan_content import note_sentences
 from carina.export.plan_dicom import (
     CtImages,
     Identity,
+    check_suffix,
     code_item,
     ct_images,
     file_bytes,
@@ -36,7 +37,6 @@ from carina.plan import Nodule
 from carina.volume import Volume
 from carina.volume.dicom_headers import damaged_elements_refused, read_dataset
 
-_SUFFIX: Final = ".dcm"
 _Concept = tuple[str, str, str]
 _REPORT: _Concept = ("126000", "DCM", "Imaging Measurement Report")
 _LANGUAGE: _Concept = ("121049", "DCM", "Language of Content Item and Descendants")
@@ -108,10 +108,7 @@ def write_target_report(
     DiskError
         If the file cannot be written; a former file stays unchanged.
     """
-    if not Path(path).name.lower().endswith(_SUFFIX):
-        raise UsageError(
-            f"saving a DICOM report: expected a file name that ends in {_SUFFIX}; found {Path(path).name!r}"
-        )
+    check_suffix(path, "saving a DICOM report")
     named = named_nodules(targets, "saving a DICOM report")
     images = ct_images(ct, volume, series=series, cancel=cancel)
     segments = None if segmentation is None else _segments(Path(segmentation), images, list(named))

@@ -290,7 +290,7 @@ class VideoWriter:
         try:
             if self._container is not None:
                 # Closing writes the last bytes, which are not needed and for which the disk may have no space. For a
-                # refused write PyAV also raises errors that are no OSError.
+                # refused write PyAV also raises errors other than OSError.
                 with contextlib.suppress(Exception):
                     self._container.close()
         finally:

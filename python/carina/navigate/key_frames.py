@@ -164,9 +164,9 @@ class KeyFrameFlight:
         else:
             speeds = [speed_mm_s if frame.speed_mm_s is None else frame.speed_mm_s for frame in frames[1:]]
             self._laws = _leg_motions(self._legs, rests, speeds)
-            stands = [max(leg.turn_rad / TURN_RAD_S, STAND_S) for leg in self._legs]
-            lasts = [s if law is None else law.duration_s for law, s in zip(self._laws, stands, strict=True)]
-            self._times = np.concatenate([[0.0], np.cumsum(lasts)])
+            turns_s = [max(leg.turn_rad / TURN_RAD_S, STAND_S) for leg in self._legs]
+            durations_s = [s if law is None else law.duration_s for law, s in zip(self._laws, turns_s, strict=True)]
+            self._times = np.concatenate([[0.0], np.cumsum(durations_s)])
             check_duration(self.duration_s)
 
     def __repr__(self) -> str:
@@ -230,11 +230,11 @@ def _leg_motions(legs: Sequence[Leg], rests: Sequence[bool], speeds_mm_s: Sequen
     for leg, speed in zip(legs, speeds_mm_s, strict=True):
         turn_s = leg.turn_rad / TURN_RAD_S
         speeds.append(min(speed, leg.length_mm / turn_s) if turn_s > 0.0 else speed)
-    stands = [leg.length_mm <= STAND_MM for leg in legs]
+    only_turns = [leg.length_mm <= STAND_MM for leg in legs]
     knots = [
         0.0,
         *(
-            0.0 if rests[n] or stands[n - 1] or stands[n] else min(speeds[n - 1], speeds[n])
+            0.0 if rests[n] or only_turns[n - 1] or only_turns[n] else min(speeds[n - 1], speeds[n])
             for n in range(1, len(legs))
         ),
         0.0,
@@ -242,7 +242,7 @@ def _leg_motions(legs: Sequence[Leg], rests: Sequence[bool], speeds_mm_s: Sequen
     laws: list[_Law | None] = []
     for n, leg in enumerate(legs):
         begin, speed, end = knots[n], speeds[n], knots[n + 1]
-        if stands[n]:
+        if only_turns[n]:
             laws.append(None)
         elif leg.rest_mm is None:
             laws.append(_CruiseMotion(leg.length_mm, begin, speed, end))

@@ -267,7 +267,7 @@ class Navigator:
     def go_to(self, path_mm: float) -> None:
         """Go to a position along the path (mm, clamped to its ends) and enter mode *path*.
 
-        From modes *free* and *scope* the tip then looks along the path; in mode *path* the direction of view is kept.
+        From modes *free* and *scope* the tip then looks along the path; in mode *path* the direction of view stays.
         """
         if not math.isfinite(path_mm):
             raise UsageError(f"a position on the path must be finite; found {path_mm}")

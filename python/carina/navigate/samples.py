@@ -193,7 +193,7 @@ class SampleGate:
         self._seen: dict[str, _DeviceRecord] = {}
         self._holder: str | None = None
         self._message_s = -math.inf
-        self._unsaid: Counter[tuple[str, Refusal]] = Counter()
+        self._unreported: Counter[tuple[str, Refusal]] = Counter()
 
     def __repr__(self) -> str:
         """Return a one-line description of this `SampleGate` for the Python interpreter."""
@@ -283,25 +283,25 @@ class SampleGate:
 
         None if there is nothing to report.
         """
-        if not self._unsaid or now_s - self._message_s < self._message_every_s:
+        if not self._unreported or now_s - self._message_s < self._message_every_s:
             return None
         self._message_s = now_s
         whys: Counter[Refusal] = Counter()
-        for (_, why), num in self._unsaid.items():
+        for (_, why), num in self._unreported.items():
             whys[why] += num
         words = [f"{why} ({num})" for why, num in whys.most_common(3)]
-        names = sorted({device for device, _ in self._unsaid})
+        names = sorted({device for device, _ in self._unreported})
         devices = ", ".join(names[:MAX_NAMED]) + (f" and {len(names) - MAX_NAMED} more" if names[MAX_NAMED:] else "")
-        total = self._unsaid.total()
-        self._unsaid.clear()
+        total = self._unreported.total()
+        self._unreported.clear()
         samples, were = ("sample", "was") if total == 1 else ("samples", "were")
         return f"{total} {samples} from {devices} {were} ignored: {', '.join(words)}"
 
     def _count_ignored(self, device: str, why: Refusal) -> None:
         # The number of entries is bounded, because devices can come and go many times between two messages.
-        if (device, why) not in self._unsaid and len(self._unsaid) >= MAX_DEVICES:
+        if (device, why) not in self._unreported and len(self._unreported) >= MAX_DEVICES:
             device = OTHERS
-        self._unsaid[device, why] += 1
+        self._unreported[device, why] += 1
 
     def _drop_silent_device(self, now_s: float) -> bool:
         """Remove the device that has been silent the longest and return True; return False if no device was silent."""

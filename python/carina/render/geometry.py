@@ -86,7 +86,7 @@ def orbit_pose(centre_lps: Matrix, azimuth_deg: float, elevation_deg: float, dis
     """
     azimuth, elevation = np.deg2rad(azimuth_deg), np.deg2rad(elevation_deg)
     out = np.array([np.sin(azimuth) * np.cos(elevation), -np.cos(azimuth) * np.cos(elevation), np.sin(elevation)])
-    # The axes have explicit formulas without an up vector, so the poles are no special case.
+    # The axes have explicit formulas without an up vector, so the poles are not a special case.
     right = np.array([np.cos(azimuth), np.sin(azimuth), 0.0])
     matrix = np.eye(4)
     matrix[:3, 0], matrix[:3, 1], matrix[:3, 2] = right, np.cross(-out, right), -out

@@ -107,8 +107,8 @@ class PrefetchChoice:
 
     The address of a ray's next read depends on its last read. Prefetching casts other rays while a read is on its way:
     it saves time where the map comes from memory, and costs time where the map is in the cache of the core. Both ways
-    give the same picture, bit for bit, so each picture can choose anew, and no measurement is needed beside the
-    pictures. Times of single strips could not decide, because the cache holds their part of the map.
+    give the same picture, bit for bit, so each picture can choose again, and the times of the pictures are the only
+    measurement. Times of single strips could not decide, because the cache holds their part of the map.
     """
 
     def __init__(self) -> None:

@@ -87,7 +87,7 @@ THIN = Slab(0.0, "min")
 
 
 class Sight(FrozenValue, frozen=True):
-    """Display settings of a case, which are no step of undo."""
+    """Display settings of a case, which are not steps of undo."""
 
     crosshair_lps: PointLps | None = None
     """Point that slices and the tri-plane view show; null follows the tip."""

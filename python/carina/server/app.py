@@ -63,7 +63,7 @@ def create_app(hub: Hub, gate: Gate, uploads: Uploads, *, web: Path | None = Non
     uploads
         Storage of files that users drop on a window.
     web
-        Folder of the built client; None shows a page that says how to build it.
+        Folder of the built client; None shows a page that states how to build it.
     """
     downloads, reports = Downloads(hub.session), Reports(hub.session)
     pictures, films = Pictures(hub.session), Films(hub.session)
@@ -171,7 +171,7 @@ def create_app(hub: Hub, gate: Gate, uploads: Uploads, *, web: Path | None = Non
             return _not_authorised()
         try:
             view, query = request.path_params["view"], request.query_params
-            return await pictures.answer(view, query, is_gone=request.is_disconnected)
+            return await pictures.answer(view, query, is_disconnected=request.is_disconnected)
         except CarinaError as error:
             return _error(error, _status(error, 409))
 

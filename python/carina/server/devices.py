@@ -92,7 +92,7 @@ class DeviceConnections:
         self._watching: set[int | None] = set()
         """Numbers of the windows that have subscribed to the values of devices."""
         self._shown_s = 0.0
-        self._pen_told: wire.Pen | None = None
+        self._sent_pen: wire.Pen | None = None
         self._ports: tuple[tuple[str, ...], str | None] = ((), None)
         self._fault_logged = False
         self._ended = threading.Event()
@@ -163,7 +163,7 @@ class DeviceConnections:
 
     def add_window(self) -> None:
         """Schedule the pen state for a new window; the window subscribes to device values by a message."""
-        self._pen_told = None
+        self._sent_pen = None
         self._session.devices.woken.set()
 
     def remove_window(self, window: int) -> None:
@@ -253,12 +253,12 @@ class DeviceConnections:
     def _send_pen_state(self) -> None:
         """Send the pen state to all windows if it has changed."""
         state = self._session.devices.pen()
-        message, last_sent = _pen_message(state), self._pen_told or NO_PEN
+        message, last_sent = _pen_message(state), self._sent_pen or NO_PEN
         if state is not None and not state.is_armed and state.off_mm is None and last_sent.lps is not None:
             # The position of a pen that is not armed and has no offset is not displayed, so it causes no message.
             message = replace(message, lps=None if message.lps is None else last_sent.lps)
         if message != last_sent:
-            self._pen_told = message
+            self._sent_pen = message
             self._push(message)
 
     def _run(self) -> None:

@@ -343,7 +343,7 @@ def serve(
                     if page is not None:
                         page.stop()
                 finally:
-                    close_session(session, ConsoleTerminal(is_gone=signals.has_terminal_closed))
+                    close_session(session, ConsoleTerminal(is_closed=signals.has_terminal_closed))
     return 0
 
 

@@ -40,18 +40,18 @@ class ConsoleTerminal:
 
     Parameters
     ----------
-    is_gone
+    is_closed
         Whether the terminal was closed.
     """
 
-    def __init__(self, *, is_gone: bool = False) -> None:
-        self._is_gone = is_gone
+    def __init__(self, *, is_closed: bool = False) -> None:
+        self._is_closed = is_closed
 
     @property
     def is_interactive(self) -> bool:
         """Whether standard input and standard error are both connected to a terminal."""
         try:
-            return not self._is_gone and sys.stdin.isatty() and sys.stderr.isatty()
+            return not self._is_closed and sys.stdin.isatty() and sys.stderr.isatty()
         except (AttributeError, ValueError):  # closed, or a program without a console
             return False
 

@@ -109,7 +109,7 @@ class SessionCore:
         self._pool = None if submit else ThreadPoolExecutor(4, thread_name_prefix="carina-job")
         self.jobs = JobRunner(submit or self._submit_to_pool, self.emit, clock)
         self._listeners: list[tuple[Callable[[Event], None], int | None]] = []
-        """Pairs of an event listener and the number of its window; the number is None if the listener is no window."""
+        """Pairs of an event listener and the number of its window; None for a listener that is not a window."""
         self._watched: dict[int, int] = {}
         """Number of the case that each observer window may see, by window number; entries are never removed."""
         self.case: OpenCase | None = None
@@ -202,7 +202,7 @@ class SessionCore:
                 listener(event)
 
     def answer(self, event: Event) -> None:
-        """Send an event to the window of the current command and to listeners that are no window.
+        """Send an event to the window of the current command and to listeners that are not windows.
 
         All listeners receive the event if the command has no window, or if its window is closed.
         """
@@ -307,7 +307,7 @@ class SessionCore:
         with self.lock:
             window = _running_command.get().window
             works = window not in self._watched
-            case.sights.change(window, change, is_kept=works)
+            case.sights.change(window, change, is_latest=works)
             for step in self.after_sight if works else ():
                 step(case)
             self.answer(Changed(frozenset({"state", "views"})))
@@ -409,7 +409,7 @@ class SessionCore:
                 measures=case.measures.of(case.document.airways),
                 route_scale=case.planning.route_scale(case.document),
                 target_places_mm=case.planning.target_places_mm(case.document),
-                mask_question=None if case.asked_mask is None else case.asked_mask.question,
+                mask_question=None if case.pending_mask is None else case.pending_mask.question,
                 saving=(saving := self.saving()),
                 flights=flight_list(case, saving),
             )

@@ -24,7 +24,9 @@ CONTACT_GAP_S = 0.5
 AHEAD_MM = 10.0
 """Distance in mm ahead along the airway of the point that is in the middle if the lumen is in the middle."""
 MIDDLE_SHARE = 0.25
-"""Largest angle between the line of sight and that point, as a share of the field of view: half the picture's radius.
+"""Largest angle between the line of sight and the point `AHEAD_MM` ahead, as a share of the field of view.
+
+The share is half the radius of the picture.
 """
 OUTSIDE_MM = -0.5
 """Distance to the wall in mm below which the tip has left the airways."""

@@ -53,8 +53,8 @@ def quiz_questions(
 ) -> tuple[QuizQuestion, ...]:
     """Return the questions of a quiz on a case; one seed gives the same questions.
 
-    Only segments whose names are certain are asked for. For ``name-opening`` the tip is before a fork and looks at the
-    opening of a segment, which is in sight by the rules of the scores; for ``where-are-you`` it is inside a segment.
+    Questions contain only segments whose names are certain. For ``name-opening`` the tip is before a fork and looks at
+    the opening of a segment, which is in sight by the rules of the scores; for ``where-are-you`` it is in a segment.
 
     Parameters
     ----------

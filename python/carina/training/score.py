@@ -315,7 +315,7 @@ class FlightScorer:
         clear = clear_views(frames, wall)
         place_of = [place for place, openings in enumerate(openings_of.segments) for _ in openings]
         by_opening = entries_of(passed, clear, [[k] for k in range(len(of_segments))])
-        # The first entry into each part of a segment whose parts arise separately is no revisit.
+        # The first entry into each part of a segment whose parts arise separately is not a revisit.
         entries, again = (
             [replace(one, place=place_of[one.place]) for one in found]
             for found in (by_opening, revisits_of(by_opening))

@@ -59,7 +59,7 @@ _UID_NAME = re.compile(r"[\w.-]*\d+(?:\.\d+){4,}[\w.-]*")
 
 
 def archive_kind(path: Path) -> ArchiveKind | None:
-    """Return the kind of an archive by its first bytes, never by its name; None if the file is no archive."""
+    """Return the kind of an archive by its first bytes, never by its name; None if the file is not an archive."""
     try:
         with path.open("rb") as file:
             head = file.read(512)

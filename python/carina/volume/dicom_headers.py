@@ -356,7 +356,7 @@ class _Tags:
 
 
 def _thickness_mm(tags: _Tags) -> float | None:
-    """Return SliceThickness in mm; None if the tag is missing or impossible, which is no reason to refuse a series."""
+    """Return SliceThickness in mm; None if the tag is missing or impossible, and the series is not refused."""
     try:
         thickness_mm = float(tags.text("SliceThickness"))
     except ValueError:

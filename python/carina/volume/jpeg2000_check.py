@@ -83,7 +83,7 @@ def _ffmpeg_warnings() -> Iterator[None]:
 
 
 def j2k_problem(frame: bytes) -> str | None:
-    """Return what FFmpeg reports about a JPEG 2000 stream; None for an intact one and for one it does not support."""
+    """Return the error that FFmpeg reports for a JPEG 2000 stream; None if it is intact or not supported by FFmpeg."""
     import av
     import av.logging
 

@@ -1,4 +1,4 @@
-"""Limits of what is read, independent of the claims of a header or a folder."""
+"""Limits of the data that are read, independent of the claims of a header or a folder."""
 
 from __future__ import annotations
 

@@ -104,7 +104,7 @@ def absolute(path: str | Path) -> Path:
 
 
 def _what_is_read(path: Path) -> tuple[Reads, tuple[str, ...]]:
-    """Return which kind of files opening a path would read (``Reads``), and the names of single files.
+    """Return the kind of files that opening a path would read (``Reads``), and the names of single files.
 
     Raises
     ------

@@ -188,7 +188,7 @@ function FlightTools({ flight, first, last }: { flight: FlightInfo; first: boole
             words="Download this flight, to replay it elsewhere"
             disabled={isRecording}
             testId="flight-download"
-            onPress={() => void station.takeFlight(number)}
+            onPress={() => void station.transfers.takeFlight(number)}
           />
           <Act
             kind="icon"

@@ -68,7 +68,7 @@ export function Jobs() {
           what={plural(upload.numFiles, "file")}
           fraction={upload.totalBytes > 0 ? upload.sentBytes / upload.totalBytes : null}
           secondsLeft={null}
-          onCancel={station.cancelUpload}
+          onCancel={station.transfers.cancelUpload}
         />
       )}
       {jobs.map((job) => (

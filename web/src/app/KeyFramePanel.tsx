@@ -343,12 +343,12 @@ function KeyFrameFile({ keyFrames }: { keyFrames: KeyFramesMessage }) {
           words="Save to a file. Open it again in this case."
           disabled={keyFrames.frames.length === 0}
           testId="save-keys"
-          onPress={() => void station.takeKeys()}
+          onPress={() => void station.transfers.takeKeys()}
         />
         <FileTrigger
           acceptedFileTypes={[".json"]}
           onSelect={(list) => {
-            if (list !== null && list.length > 0) void station.upload(filesOfPicker(list), "keys");
+            if (list !== null && list.length > 0) void station.transfers.upload(filesOfPicker(list), "keys");
           }}
         >
           <Tip words="Open key frames saved from this case. Undo restores the current ones.">

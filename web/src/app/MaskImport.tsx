@@ -28,7 +28,7 @@ export function MaskPicker() {
       <FileTrigger
         allowsMultiple
         onSelect={(list) => {
-          if (list !== null && list.length > 0) void station.upload(filesOfPicker(list), "mask");
+          if (list !== null && list.length > 0) void station.transfers.upload(filesOfPicker(list), "mask");
         }}
       >
         <Tip words="A segmentation of this scan as NIfTI, NRRD, MetaImage or DICOM SEG. Undo restores the current airways.">
@@ -88,7 +88,7 @@ export function DropChoice() {
       onDragLeave={() => setOver(null)}
       onDrop={(event: DragEvent) => {
         event.preventDefault();
-        void filesOfDrop(event.dataTransfer.items).then((files) => station.upload(files, use));
+        void filesOfDrop(event.dataTransfer.items).then((files) => station.transfers.upload(files, use));
       }}
     >
       <Icon name={use === "mask" ? "fork" : "folder"} />

@@ -115,7 +115,7 @@ function Answer({ target, plan }: { target: Target; plan: TargetPlan }) {
             label="Print the plan"
             words="Make the report, and open it in a new tab to be printed"
             testId="print-plan"
-            onPress={() => station.printPlan(target.target_id, "report")}
+            onPress={() => station.transfers.printPlan(target.target_id, "report")}
           />
         ) : route === null ? null : (
           <Act

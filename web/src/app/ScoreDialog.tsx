@@ -29,7 +29,7 @@ export function ScoreDialog() {
                   label="Save the log"
                   words="Save events, poses and scores of this flight as CSV files, and as xAPI statements"
                   testId="save-log"
-                  onPress={() => void station.takeFlightLog(score.flight)}
+                  onPress={() => void station.transfers.takeFlightLog(score.flight)}
                 />
                 <Act label="Print" words="Print this score on one page" testId="print-score" onPress={() => print()} />
                 <Act kind="icon" icon="close" words="Close" keys={keyOf("leave")} onPress={close} />

@@ -49,7 +49,7 @@ function DropPlace() {
   const drop = (event: DragEvent) => {
     event.preventDefault();
     setOver(false);
-    void filesOfDrop(event.dataTransfer.items).then((files) => station.upload(files));
+    void filesOfDrop(event.dataTransfer.items).then((files) => station.transfers.upload(files));
   };
   return (
     // biome-ignore lint/a11y/noStaticElementInteractions: the buttons inside give keyboard access
@@ -78,7 +78,7 @@ export function Pickers({ onFiles }: { onFiles?: (files: readonly UploadFile[]) 
   const station = useStation();
   const pick = (list: FileList | null) => {
     if (list === null || list.length === 0) return;
-    if (onFiles === undefined) void station.upload(filesOfPicker(list));
+    if (onFiles === undefined) void station.transfers.upload(filesOfPicker(list));
     else onFiles(filesOfPicker(list));
   };
   return (

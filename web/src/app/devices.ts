@@ -54,7 +54,7 @@ export class BrowserDevices {
     this.#headset = this.#headsetOf(xrOf(navigator));
     const send = (message: ClientMessage) => void station.send(message);
     const hooks = {
-      gone: (device: string) => send({ type: "device_gone", device }),
+      disconnected: (device: string) => send({ type: "device_gone", device }),
       failed: (words: string) => station.notice(words),
     };
     const hid = hidOf(navigator);

@@ -32,7 +32,7 @@ function schedulerRig() {
 }
 
 describe("RefreshScheduler", () => {
-  it("It runs at every display refresh for ACTIVE_MS after the start, and every IDLE_POLL_MS at rest.", () => {
+  it("runs at every display refresh for ACTIVE_MS after the start, and every IDLE_POLL_MS at rest", () => {
     const { calls, made, run } = schedulerRig();
     made.start();
     run(ACTIVE_MS);
@@ -43,7 +43,7 @@ describe("RefreshScheduler", () => {
     expect(calls.length - before).toBeGreaterThan(90);
   });
 
-  it("It runs at every display refresh during activity, and the elapsed times add up to the total time.", () => {
+  it("runs at every display refresh during activity, and the elapsed times add up to the total time", () => {
     const { environment, calls, made, run } = schedulerRig();
     environment.needsEveryRefresh = true;
     made.start();
@@ -66,7 +66,7 @@ describe("RefreshScheduler", () => {
     expect(environment.dueMs - environment.now).toBeLessThanOrEqual(REFRESH_MS);
   });
 
-  it("It returns to every refresh by itself when a check at rest finds activity.", () => {
+  it("returns to every refresh by itself when a check at rest finds activity", () => {
     const { environment, calls, made, run } = schedulerRig();
     made.start();
     run(10_000);
@@ -76,7 +76,7 @@ describe("RefreshScheduler", () => {
     expect(calls.length - before).toBeGreaterThan(50);
   });
 
-  it("It stops on request, and a wake-up after the stop has no effect.", () => {
+  it("stops on request, and a wake-up after the stop has no effect", () => {
     const { calls, made, run } = schedulerRig();
     made.start();
     run(100);

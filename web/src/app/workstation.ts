@@ -9,18 +9,8 @@ import { type Action, WINDOWS } from "../input/keymap";
 import { Steering } from "../input/steering";
 import { TRAINING_ACTIONS } from "../input/training-actions";
 import { WATCHERS_ACTIONS } from "../input/watchers-actions";
-import {
-  DownloadError,
-  fetchAirways,
-  fetchFlight,
-  fetchFlightLog,
-  fetchKeyFrames,
-  fetchPlan,
-  planAddress,
-} from "../net/download";
 import { PictureBoard } from "../net/pictures";
 import { Stream, type StreamStatus } from "../net/stream";
-import { sendUpload, UploadError, type UploadFile } from "../net/upload";
 import { mainLeaf, neighbourBranch } from "../state/airways";
 import {
   type AppState,
@@ -69,6 +59,7 @@ import type {
 } from "../wire/messages";
 import { type CellName, LEAD_VIEW, VIEWS } from "../wire/views";
 import { BrowserDevices } from "./devices";
+import { FileTransfers } from "./file-transfers";
 import { FilmFiles } from "./film-files";
 import { PictureFiles } from "./picture-files";
 import { Pointing } from "./pointing";
@@ -76,7 +67,7 @@ import { Previewing } from "./previewing";
 import { atNextRefresh } from "./refresh";
 import { RefreshScheduler, wakeOnInput } from "./refresh-scheduler";
 import type { Station } from "./station";
-import { asConnection, SLABS, saveAs } from "./station-parts";
+import { asConnection, SLABS } from "./station-parts";
 
 /** Time before a moment at which its replay begins, s. */
 const REPLAY_BEFORE_S = 3;
@@ -101,13 +92,13 @@ export class Workstation implements Station {
   readonly devices: BrowserDevices;
   readonly pictures = new PictureFiles(this);
   readonly films = new FilmFiles(this);
+  readonly transfers = new FileTransfers(this);
   readonly #stream: Stream;
   readonly #board: PictureBoard<ImageBitmap>;
   /**
    * Latest message of each kind whose earlier values are obsolete. The messages are sent at the next display refresh.
    */
   readonly #soon = new Map<string, ClientMessage>();
-  #uploadStop: AbortController | null = null;
   #autoWanted = false;
   #pickId = 0;
   #outline: Outline = "round";
@@ -306,93 +297,6 @@ export class Workstation implements Station {
   openPath = (path: string): void => void this.send({ type: "open_path", path });
   openDemo = (name: Demo["name"]): void => void this.send({ type: "open_demo", name });
 
-  /**
-   * Upload files and open them: as another case, or as the airways, a target, the key frames or the second CT of the
-   * open case.
-   */
-  async upload(
-    files: readonly UploadFile[],
-    use: keyof typeof UPLOADED = "case",
-    { structure = null, targetId = null }: { structure?: string | null; targetId?: string | null } = {},
-  ): Promise<void> {
-    if (this.state.watches) return;
-    this.#uploadStop?.abort();
-    const stop = new AbortController();
-    this.#uploadStop = stop;
-    const of = caseKey(this.state.session);
-    try {
-      const id = await sendUpload(files, (upload) => this.store.dispatch({ kind: "upload", upload }), stop.signal);
-      if (use !== "case" && caseKey(this.state.session) !== of) {
-        // The upload of a large file takes time. If the user has opened another case in the meantime, the mask must not
-        // be applied to the other patient's scan.
-        this.#showError(
-          "upload.other-case",
-          "Another case was opened during the upload, so the file was not used.",
-          "Open the file again in the case it belongs to.",
-        );
-        return;
-      }
-      const type = UPLOADED[use];
-      if (type === "import_target") this.send({ type, upload_id: id, structure });
-      else if (type !== "measure_upload") this.send({ type, upload_id: id });
-      else if (targetId !== null) this.send({ type, upload_id: id, target_id: targetId });
-    } catch (error) {
-      if (stop.signal.aborted) return;
-      if (error instanceof UploadError) this.#showError(error.code, error.message, error.action);
-      else
-        this.#showError(
-          "upload.failed",
-          "The files could not be sent to Carina.",
-          "Check that Carina is still running.",
-        );
-    } finally {
-      if (this.#uploadStop === stop) this.store.dispatch({ kind: "upload", upload: null });
-    }
-  }
-
-  cancelUpload = (): void => this.#uploadStop?.abort();
-
-  /**
-   * Download the airways in the format of this file suffix. Only one download runs at a time, because the server needs
-   * seconds for a surface.
-   */
-  async takeAirways(suffix: string): Promise<void> {
-    if (this.state.ui.making !== null) return;
-    this.ui({ making: suffix });
-    await this.#take(() => fetchAirways(suffix, AbortSignal.timeout(DOWNLOAD_WITHIN_MS)));
-    this.ui({ making: null });
-  }
-
-  async #take(fetched: () => Promise<{ name: string; blob: Blob }>): Promise<void> {
-    try {
-      const { name, blob } = await fetched();
-      saveAs(name, blob);
-    } catch (error) {
-      if (error instanceof DownloadError) this.#showError(error.code, error.message, null);
-      else
-        this.#showError(
-          "download.failed",
-          "The file could not be downloaded from Carina.",
-          "Check that Carina is still running.",
-        );
-    }
-  }
-
-  /** Download the key frames as a file from which `carina fly` renders a video. */
-  async takeKeys(): Promise<void> {
-    await this.#take(() => fetchKeyFrames(AbortSignal.timeout(DOWNLOAD_WITHIN_MS)));
-  }
-
-  /** Download a recorded flight of the case, by its number. */
-  async takeFlight(number: number): Promise<void> {
-    await this.#take(() => fetchFlight(number, AbortSignal.timeout(DOWNLOAD_WITHIN_MS)));
-  }
-
-  /** Download the log of a scored flight. */
-  async takeFlightLog(number: number): Promise<void> {
-    await this.#take(() => fetchFlightLog(number, AbortSignal.timeout(DOWNLOAD_WITHIN_MS)));
-  }
-
   /** Write the named file of the case; open the save dialog if the case has no named file. */
   save(): void {
     const saving = this.state.session?.saving;
@@ -532,19 +436,6 @@ export class Workstation implements Station {
   #sendLayers(): void {
     if (!this.state.watches)
       this.#stream.send({ type: "set_layers", layers: wantedLayers(this.state.ui.hiddenLayers) });
-  }
-
-  /** Open the printable report of a plan in a new tab, from which the user prints it; a job shows the progress. */
-  printPlan(targetId: string, kind: "report" | "tracing"): void {
-    window.open(planAddress(targetId, ".html", kind), "_blank", "noopener");
-  }
-
-  /** Download the report of a target's plan in the format of this file suffix. */
-  async takePlan(targetId: string, suffix: PlanSuffix, named = false): Promise<void> {
-    if (this.state.ui.making !== null) return;
-    this.ui({ making: `plan${suffix}` });
-    await this.#take(() => fetchPlan(targetId, suffix, AbortSignal.timeout(DOWNLOAD_WITHIN_MS), named));
-    this.ui({ making: null });
   }
 
   chooseTarget = (targetId: string): void =>
@@ -932,18 +823,3 @@ export class Workstation implements Station {
     this.store.dispatch({ kind: "say", message: { kind: "error", code, message, action } });
   }
 }
-
-/** File suffix of an exported plan. */
-export type PlanSuffix = ".pdf" | ".json" | ".mrk.json" | ".seg.nrrd" | ".seg.dcm" | ".sr.dcm" | ".pdf.dcm";
-
-/** Type of the message that opens uploaded files, by their purpose. */
-const UPLOADED = {
-  case: "open_upload",
-  mask: "import_mask",
-  keys: "open_key_frames",
-  target: "import_target",
-  movement: "measure_upload",
-} as const;
-
-/** Timeout of a download, ms. */
-const DOWNLOAD_WITHIN_MS = 300_000;

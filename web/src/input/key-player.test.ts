@@ -52,7 +52,7 @@ const requested = (sent: ClientMessage[]) =>
   sent.map((one) => (one.type === "fly_key_frames" ? [one.time_s, one.goes_on] : one));
 
 describe("KeyPlayer with key frames", () => {
-  it("It first sends the current time, continues at each refresh, and stops at the end of the flight.", () => {
+  it("first sends the current time, continues at each refresh, and stops at the end of the flight", () => {
     const { made, sent, environment } = player();
     expect(made.play()).toBe(true);
     for (let n = 0; n < 50; n += 1) made.tick(0.1);
@@ -114,7 +114,7 @@ describe("KeyPlayer with key frames", () => {
     expect(environment.playing.on).toBe(false);
   });
 
-  it("It shows the time of a pose at rest, and ignores older poses of the flight during playback.", () => {
+  it("shows the time of a pose at rest, and ignores older poses of the flight during playback", () => {
     const { made, environment } = player();
     made.poseArrived(pose(2.5));
     expect(environment.playing).toMatchObject({ on: false, atS: 2.5 });

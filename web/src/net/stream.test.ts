@@ -67,7 +67,7 @@ const HELLO = JSON.stringify({
 });
 
 describe("Stream", () => {
-  it("It sends hello first, and its status is open after the server's hello.", () => {
+  it("sends hello first, and its status is open after the server's hello", () => {
     const { made, sockets, statuses } = stream();
     made.open();
     sockets[0]?.open();
@@ -77,7 +77,7 @@ describe("Stream", () => {
     expect(statuses.at(-1)?.status).toBe("open");
   });
 
-  it("It reconnects with doubled delays up to a maximum, and with the first delay after a successful connection.", () => {
+  it("reconnects with doubled delays up to a maximum, and with the first delay after a successful connection", () => {
     const { made, sockets, due } = stream();
     made.open();
     const waits: number[] = [];
@@ -94,7 +94,7 @@ describe("Stream", () => {
     expect(due.pop()?.ms).toBe(retryDelayMs(0));
   });
 
-  it("It does not reconnect after a close code that only the user can resolve.", () => {
+  it("does not reconnect after a close code that only the user can resolve", () => {
     for (const name of ["protocol.too-many-windows", "protocol.not-authorised", "protocol.version"] as const) {
       const { made, sockets, statuses, due } = stream();
       made.open();

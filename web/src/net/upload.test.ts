@@ -13,7 +13,7 @@ describe("uploadProblem", () => {
     );
   });
 
-  it("It returns null for a CT series of 500 files.", () => {
+  it("returns null for a CT series of 500 files", () => {
     expect(uploadProblem(Array.from({ length: 500 }, (_, n) => file(`${n}`, 525_000)))).toBeNull();
   });
 });

@@ -82,7 +82,7 @@ beforeEach(() => {
 });
 
 describe("Link", () => {
-  it("It sends the token first, and no other message before the server has accepted the phone.", () => {
+  it("sends the token first, and no other message before the server has accepted the phone", () => {
     latestSocket().opens();
     expect(latestSocket().sent.map((text) => JSON.parse(text).token)).toEqual(["secret"]);
     expect(link.send({ type: "phone_act", action: "recenter" })).toBe(false);
@@ -91,7 +91,7 @@ describe("Link", () => {
     expect(link.send({ type: "phone_act", action: "recenter" })).toBe(true);
   });
 
-  it("It reconnects with doubled delays, and with the first delay after a successful connection.", () => {
+  it("reconnects with doubled delays, and with the first delay after a successful connection", () => {
     latestSocket().ends(1006);
     expect(timers.map((timer) => timer.ms)).toEqual([500]);
     timers[0]?.call();
@@ -121,7 +121,7 @@ describe("Link", () => {
   });
 
   it.each(["protocol.not-authorised", "protocol.taken-over", "protocol.version", "protocol.malformed"] as const)(
-    "It does not reconnect after the close code %s.",
+    "does not reconnect after the close code %s",
     (code) => {
       latestSocket().opens();
       latestSocket().ends(CLOSE_CODES[code]);

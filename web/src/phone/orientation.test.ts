@@ -79,7 +79,7 @@ describe("penOrientation", () => {
     }
   });
 
-  it("It returns null for a missing or non-finite angle.", () => {
+  it("returns null for a missing or non-finite angle", () => {
     const bad: Turned[] = [
       { alpha: null, beta: 0, gamma: 0 },
       { alpha: 0, beta: Number.NaN, gamma: 0 },

@@ -179,7 +179,7 @@ describe("filterTree", () => {
   const tree = made({ titles: [{ branch_id: 1, long: "apical segment, RUL", lobe: "RUL" }] });
   const hits = (text: string) => filterTree(tree, text)?.hits;
 
-  it("It finds names, long names, lobes, generations, doubtful branches and bridges, and shows their ancestors.", () => {
+  it("finds names, long names, lobes, generations, doubtful branches and bridges, and shows their ancestors", () => {
     expect(filterTree(tree, "  ")).toBeNull();
     expect(hits("rb1")).toEqual([1]);
     expect(hits("apical")).toEqual([1]);
@@ -262,7 +262,7 @@ describe("branch drawn by hand", () => {
   if (tree === null) throw new Error("no tree");
   const drawn = node(tree, 4);
 
-  it("It is labelled as drawn by hand and has no anatomical name, confidence or diameter.", () => {
+  it("is labelled as drawn by hand and has no anatomical name, confidence or diameter", () => {
     expect(drawn.label).toBe("Branch 4");
     expect(drawn.longName).toBeNull();
     expect(drawn.lobe).toBeNull();
@@ -276,7 +276,7 @@ describe("branch drawn by hand", () => {
     expect(filterTree(tree, "by hand")?.hits).toEqual([4]);
   });
 
-  it("It keeps a name that the user has given.", () => {
+  it("keeps a name that the user has given", () => {
     const named = branch(1, 0, [], { kind: "manual", name: "Mine", name_from: "person" });
     const own = buildTree({
       format: "carina-tree",

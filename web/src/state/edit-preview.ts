@@ -85,7 +85,7 @@ function renamedLines(renamed: readonly string[]): readonly string[] {
   return more > 0 ? [...lines, `${plural(more, "more branch", "more branches")} renamed`] : lines;
 }
 
-/** Return where a new branch would begin, and its length. */
+/** Return the text of a new branch: its origin and its length. */
 function addedText(origin: EditPreviewMessage["origin"], length: string): string {
   if (origin === null) return `new branch, ${length}`;
   return origin.extends ? `extends ${origin.branch} by ${length}` : `new branch from ${origin.branch}, ${length}`;

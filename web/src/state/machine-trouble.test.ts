@@ -7,17 +7,17 @@ const LATE = { ...INITIAL_STATE, pace: { fps: 20, ageMs: 30, waitingMs: 900 } };
 const viewfinder = { view: "cut-plane", stands_for: "airway" } as PictureHeader;
 
 describe("problem of the machine", () => {
-  it("It is null while the machine keeps up.", () => {
+  it("is null while the machine keeps up", () => {
     expect(machineTrouble(INITIAL_STATE)).toBeNull();
     expect(machineTrouble({ ...LATE, pace: { ...LATE.pace, waitingMs: 600 } })).toBeNull();
   });
 
-  it("It states a late picture of the airway view, and the viewfinder that replaces the view.", () => {
+  it("states a late picture of the airway view, and the viewfinder that replaces the view", () => {
     expect(machineTrouble(LATE)).toBe("updating\u2026");
     expect(machineTrouble({ ...INITIAL_STATE, frames: { airway: viewfinder } })).toBe("viewfinder");
   });
 
-  it("It states nothing about an airway view that another view covers.", () => {
+  it("states nothing about an airway view that another view covers", () => {
     const covered = { ...LATE, frames: { airway: viewfinder }, ui: { ...LATE.ui, full: "axial" as const } };
     expect(machineTrouble(covered)).toBeNull();
     expect(machineTrouble({ ...LATE, ui: { ...LATE.ui, full: "airway" as const } })).toBe("updating\u2026");

@@ -33,7 +33,7 @@ const TARGET: Target = {
 const NOTHING = { targets: [], root_lps: null };
 
 describe("crossingsOf", () => {
-  it("It returns every crossing of the route's target, and the same empty list for any other route.", () => {
+  it("returns every crossing of the route's target, and the same empty list for any other route", () => {
     const crossings_mm = [1, 2, 3, 4, 5, 6, 7, 8];
     const targets = [
       { ...TARGET, target_id: "target-2" },
@@ -72,7 +72,7 @@ describe("offeredCosts", () => {
 });
 
 describe("startOf", () => {
-  it("It returns the marked start, else the start of the latest target with this cost, else the root of the airways.", () => {
+  it("returns the marked start, else the start of the latest target with this cost, else the root of the airways", () => {
     const session = {
       targets: [TARGET, { ...TARGET, cost: "lumen" as const, root_lps: null }],
       root_lps: [7, 8, 9] as const,
@@ -99,7 +99,7 @@ describe("targetMessage", () => {
 });
 
 describe("penMessage", () => {
-  it("It names a tool that the pen can use, and for a target also its cost and start.", () => {
+  it("names a tool that the pen can use, and for a target also its cost and start", () => {
     const search = { pathCost: "walls", pathStart: [0, 0, 1] } as const;
     expect(penMessage({ ...search, armed: "start" }, NOTHING)).toEqual({ type: "arm_pen", tool: "start" });
     expect(penMessage({ ...search, armed: "cut" }, NOTHING)).toEqual({ type: "arm_pen", tool: null });

@@ -25,9 +25,9 @@ describe("point that the pen's button marks", () => {
   it("penPoint returns the pen's point, and null if no pen moves the tip.", () => {
     const reported = reduce(INITIAL_STATE, { kind: "server", message: pen() });
     expect(penPoint(reported)).toEqual([1, 2, 3]);
-    const gone = reduce(reported, { kind: "server", message: pen({ device: null, lps: null }) });
-    expect(gone.pen).toBeNull();
-    expect(penPoint(gone)).toBeNull();
+    const disconnected = reduce(reported, { kind: "server", message: pen({ device: null, lps: null }) });
+    expect(disconnected.pen).toBeNull();
+    expect(penPoint(disconnected)).toBeNull();
   });
 });
 
@@ -35,7 +35,7 @@ describe("wasUsedByPen", () => {
   const reported = (num: number, airways: StateMessage["airways"]) =>
     ({ targets: Array.from({ length: num }), airways }) as unknown as StateMessage;
 
-  it("It is true only for a pen tool whose target was added or whose search has started.", () => {
+  it("is true only for a pen tool whose target was added or whose search has started", () => {
     expect(wasUsedByPen("target", reported(0, "found"), reported(1, "found"))).toBe(true);
     expect(wasUsedByPen("target", reported(1, "found"), reported(1, "found"))).toBe(false);
     expect(wasUsedByPen("add", reported(0, "found"), reported(1, "found"))).toBe(false);

@@ -15,7 +15,7 @@ describe("clock of a flight", () => {
 });
 
 describe("passedKey", () => {
-  it("It returns the last key frame whose time has been reached, and -1 for an empty list.", () => {
+  it("returns the last key frame whose time has been reached, and -1 for an empty list", () => {
     const keys = [{ time_s: 0 }, { time_s: 2 }, { time_s: 5 }];
     expect([0, 1.9, 1.995, 2, 4, 9].map((t) => passedKey(keys, t))).toEqual([0, 0, 1, 1, 1, 2]);
     expect(passedKey([], 1)).toBe(-1);

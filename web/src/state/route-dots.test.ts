@@ -37,7 +37,7 @@ describe("nextTurn", () => {
   const route = { spans: [span(0, 0, 50), span(1, 50, 70), span(2, 70, 90, "manual")] };
   const turns = [turn(0, 1, [1, 0, 0], [2, 0, 0]), turn(1, 2, [3, 0, 0])];
 
-  it("It is the turn at or ahead of the tip, with its dots.", () => {
+  it("is the turn at or ahead of the tip, with its dots", () => {
     const dots = [
       [1, 0, 0],
       [2, 0, 0],
@@ -51,7 +51,7 @@ describe("nextTurn", () => {
     expect(nextTurn(route, turns, 60)).toEqual({ forkMm: 70, dots: [] });
   });
 
-  it("It is null for an opening out of view and for turns of another route.", () => {
+  it("is null for an opening out of view and for turns of another route", () => {
     expect(nextTurn(route, [turn(0, 1)], 20)).toBeNull();
     expect(nextTurn(route, [turn(7, 8, [1, 0, 0])], 20)).toBeNull();
   });

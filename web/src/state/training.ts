@@ -33,7 +33,7 @@ export const hidesNames = (state: AppState): boolean =>
 /** Return the running quiz; null without one. */
 export const quizOf = ({ training }: AppState): QuizInfo | null => training?.quiz ?? null;
 
-/** Return what the window shows during an attempt or a quiz: the airway view alone or with the tree; null otherwise. */
+/** Return the layout of the window during an attempt or a quiz: the airway view alone or with the tree; else undefined. */
 export function trainingLayout(state: AppState): "alone" | "with-tree" | undefined {
   const attempt = attemptOf(state);
   if (attempt !== null) return attempt.task.tree_shown ? "with-tree" : "alone";
@@ -43,7 +43,7 @@ export function trainingLayout(state: AppState): "alone" | "with-tree" | undefin
 /** Largest difference of a number of two poses that are the same, mm or without unit. */
 const SAME_POSE = 0.01;
 
-/** Return whether the tip is where the present question of the quiz was asked. */
+/** Return whether the tip has the pose of the present question of the quiz. */
 export function isAtQuestion({ pose }: AppState, quiz: QuizInfo): boolean {
   return pose?.lps_from_camera.every((value, n) => Math.abs(value - (quiz.lps_from_tip[n] ?? 0)) < SAME_POSE) ?? false;
 }

@@ -119,7 +119,7 @@ describe("descendants of a branch", () => {
 });
 
 describe("forkOf", () => {
-  it("It returns the branch that ends at the nearer fork, or the branch's own fork if there is no other.", () => {
+  it("returns the branch that ends at the nearer fork, or the branch's own fork if there is no other", () => {
     expect(forkOf(TREE, 2, 2)).toBe(0);
     expect(forkOf(TREE, 2, 40)).toBe(2);
     expect(forkOf(TREE, 1, 40)).toBe(0);

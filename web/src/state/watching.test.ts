@@ -3,7 +3,7 @@ import { FIRST_SIGHT } from "../wire/messages";
 import { mayWatcherSend, watchingText } from "./watching";
 
 describe("window that only watches", () => {
-  it("It may send its own view settings and queries, and no other message.", () => {
+  it("may send its own view settings and queries, and no other message", () => {
     expect(mayWatcherSend({ type: "set_crosshair", lps: null })).toBe(true);
     expect(mayWatcherSend({ type: "set_carm", ...FIRST_SIGHT.carm })).toBe(true);
     expect(mayWatcherSend({ type: "probe", lps: [0, 0, 0] })).toBe(true);

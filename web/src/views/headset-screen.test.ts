@@ -155,8 +155,8 @@ describe("PictureScreen", () => {
     screen.draw(VIEWER);
     image = { width: 8, height: 4 } as unknown as LatestPicture["image"];
     frameId = 2;
-    const gone = { transform: { matrix: head(5, 0, 0, 30) }, views: [VIEW] } as unknown as XrViewerPose;
-    screen.draw(gone);
+    const distant = { transform: { matrix: head(5, 0, 0, 30) }, views: [VIEW] } as unknown as XrViewerPose;
+    screen.draw(distant);
     const size = (place: Float32Array | undefined) => [Math.hypot(...(place ?? []).slice(0, 3)), place?.[5]];
     close(size(places[0]) as number[], [0.8, 0.8]);
     close(size(places.at(-1)) as number[], [1.6, 0.8]);

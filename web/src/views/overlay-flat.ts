@@ -52,11 +52,11 @@ export function paintFlat(ink: Ink, viewport: Viewport, scene: Scene): void {
   if (geometry === null || geometry.kind !== "flat") return;
   const { pick, plane } = VIEWS[header.view];
   const seesThrough = pick === null;
-  const standsIn = header.stands_for !== null;
+  const isSubstitute = header.stands_for !== null;
   ink.save();
   // A planar picture that replaces the round airway view is clipped to the round shape; only the letters are outside
   // it.
-  if (standsIn) clipToPicture(ink, viewport);
+  if (isSubstitute) clipToPicture(ink, viewport);
   const inPlane = (depthMm: number) => seesThrough || Math.abs(depthMm) <= IN_PLANE_MM;
   if (plane !== null) paintCrosshair(ink, viewport, geometry, scene, plane);
   if (!seesThrough) {
@@ -102,11 +102,11 @@ export function paintFlat(ink: Ink, viewport: Viewport, scene: Scene): void {
     }
   }
   paintPen(ink, viewport, geometry, scene, inPlane);
-  if (standsIn)
+  if (isSubstitute)
     paintScale(ink, viewport, mmPerPixel(geometry), { x: viewport.size.width / 2, y: viewport.frame.y + 40 });
   ink.restore();
   paintLetters(ink, viewport, axesOf(geometry));
-  if (!standsIn) paintScale(ink, viewport, mmPerPixel(geometry));
+  if (!isSubstitute) paintScale(ink, viewport, mmPerPixel(geometry));
   if (plane !== null) paintSlab(ink, viewport, scene);
   if (!seesThrough) {
     paintInterpolated(ink, viewport, geometry, scene);

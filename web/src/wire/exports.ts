@@ -1,6 +1,6 @@
 // Generated from python/carina/export/format_table.py by `python -m carina.server.wire.generate`. Do not edit.
 
-/** What a person calls it, the files that hold it, and who reads those. */
+/** Export formats by content: title, suffixes of the files, and the programs that read them. */
 export const EXPORTS = [
   {
     title: "Airway surface",

@@ -16,7 +16,7 @@ export const CLOSE_CODES = {
   "protocol.watching-ended": 4410,
 } as const;
 
-/** Largest angle in degrees of an opening straight ahead; least ratio of the others' angles to it. */
+/** Largest angle of an opening straight ahead, degrees; least ratio of the other openings' angles to it. */
 export const STRAIGHT_AHEAD = { most_deg: 6.0, times: 2.0 } as const;
 
 /** 4x4, row-major. */
@@ -324,7 +324,7 @@ export interface FlyFlightMessage {
   readonly goes_on?: boolean;
 }
 
-/** Delete a recorded flight. The deletion is no step of the history, so undo does not restore the flight. */
+/** Delete a recorded flight. The deletion is not a step of the history, so undo does not restore the flight. */
 export interface RemoveFlightMessage {
   readonly type: "remove_flight";
   readonly number: number;
@@ -753,7 +753,7 @@ export interface NextQuestionMessage {
   readonly type: "next_question";
 }
 
-/** Place the tip again where the present question of the quiz was asked. */
+/** Place the tip again at the pose of the present question of the quiz. */
 export interface RepeatQuestionMessage {
   readonly type: "repeat_question";
 }
@@ -1513,7 +1513,7 @@ export interface Reformation {
   readonly mm_per_px: number | null;
 }
 
-/** Display settings of a case, which are no step of undo. */
+/** Display settings of a case, which are not steps of undo. */
 export interface Sight {
   readonly crosshair_lps: readonly [number, number, number] | null;
   readonly window: GreyWindow | null;
@@ -2233,7 +2233,7 @@ export interface PictureHeader {
   readonly layers?: readonly PictureLayer[];
 }
 
-/** What `look` begins with. */
+/** Initial value of `look`. */
 export const FIRST_LOOK: Look = {
   "scope": "generic",
   "outline": "round",
@@ -2241,7 +2241,7 @@ export const FIRST_LOOK: Look = {
   "operator": "head"
 };
 
-/** What `sight` begins with. */
+/** Initial value of `sight`. */
 export const FIRST_SIGHT: Sight = {
   "crosshair_lps": null,
   "window": null,
@@ -2267,8 +2267,8 @@ export const FIRST_SIGHT: Sight = {
 };
 
 /**
- * Commands that set a field of `look` or `sight`: from their own field `from`, or from all where it is null;
- * with `by_view` the field has a value for each view.
+ * Commands that set one field of `look` or `sight`, to the value of their field `from`; null uses all fields
+ * of the command. With `by_view` the field has a value for each view.
  */
 export const SETS = {
   set_operator: { of: "look", field: "operator", from: "position", by_view: false },
@@ -2286,7 +2286,7 @@ export const SETS = {
   set_method: { of: "sight", field: "method", from: "method", by_view: false },
 } as const;
 
-/** What a client sends that is no command, and that `handled` does not count. */
+/** Messages of a client that are not commands; `handled` does not count them. */
 export const NO_COMMANDS: readonly string[] = ["hello", "open_upload", "import_mask", "import_target", "measure_upload", "layout", "ack", "probe", "pick", "live_path", "branch_detail", "set_frame_rate", "set_layers", "ask_storage", "set_watch_page", "send_away", "accept_notice", "read_hints", "device_sample", "connect_device", "disconnect_device", "publish_tip", "set_phone", "watch_devices", "start_recording", "target_mark", "preview_edit", "open_key_frames"];
 
 export type ClientMessage =

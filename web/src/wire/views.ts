@@ -84,7 +84,7 @@ export const CELLS = {
 } as const;
 export type CellName = keyof typeof CELLS;
 
-/** Views; `carina.render.ViewRow` says what the fields mean. */
+/** Views; `carina.render.ViewRow` describes the fields. */
 export const VIEWS = {
   "airway": {
     title: "Airway",
@@ -348,7 +348,7 @@ export const VIEWS = {
   },
 } as const;
 
-/** What the scope sees. */
+/** Name of the airway view, which shows the picture of the scope. */
 export const LEAD_VIEW = "airway";
-/** Stands in for it where it cannot follow. */
+/** Name of the view that replaces the airway view while that view is too slow. */
 export const FINDER_VIEW = "cut-plane";

@@ -56,9 +56,9 @@ pub struct Thin {
 
 /// Share of the lung whose voxels have a smaller dip than followed voxels.
 const FOLLOWED_SHARE: f64 = 0.985;
-/// Distance from an accepted path within which voxels are no separate tips, mm.
+/// Distance from an accepted path within which voxels are not separate tips, mm.
 const COVER_MM: f32 = 2.0;
-/// Distance from a rejected path within which voxels are no separate tips, mm.
+/// Distance from a rejected path within which voxels are not separate tips, mm.
 const COVER_REFUSED_MM: f32 = 1.0;
 /// Largest gain of a path by one voxel, in thresholds.
 ///

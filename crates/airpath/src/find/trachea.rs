@@ -159,7 +159,7 @@ pub fn find_trachea(
             continue;
         };
         // A candidate longer than `BEYOND_DOUBT_MM` needs no test for twins: pockets of air beside it (a collapsed
-        // lung, the gut) are no twins.
+        // lung, the gut) are not twins.
         let is_long = candidate.trachea.length_mm >= BEYOND_DOUBT_MM;
         if !(is_long && scene.passes_strictly(chain, &candidate))
             && scene.has_twin(chain, candidate.ends_at)

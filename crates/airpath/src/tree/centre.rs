@@ -27,7 +27,7 @@ const FARTHEST_RADII: f64 = 2.5;
 /// Weight in the smoothing of the points near a fork, small because they only show where the lumen is.
 const FORK_PULL: f64 = 1e-3;
 
-/// Move the centrelines of branches to the middle of the lumen, and their forks to where the tubes' axes meet.
+/// Move the centrelines of branches to the middle of the lumen, and their forks to the intersection of the tubes' axes.
 ///
 /// Every point stays in the lumen, and each child still begins at its parent's last point, bit for bit.
 pub(crate) fn refine(graph: &LumenGraph, grid: &Grid, branches: &mut [Branch], step_mm: f64) {

@@ -137,7 +137,7 @@ fn lit<L: Lanes>(
     }
     // Half of the relief also affects the diffuse light.
     let n_matt = unit(l, along(l, n, s(1.0), n_film)).0;
-    // This is no closure, because a closure would be compiled without the instruction set, with a call for each
+    // This is not a closure, because a closure would be compiled without the instruction set, with a call for each
     // operation.
     let wet = if look.specks > 0.0 || look.secretions > 0.0 {
         Some(film(l, look, lps, n, footprint, thick, bumps))

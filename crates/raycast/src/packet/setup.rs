@@ -165,7 +165,7 @@ pub(super) fn rays_of(frame: &Frame<'_>, directions: &Directions) -> Rays {
         }
         for n in 0..MAX_LANES {
             let to = (t_out[n] + 0.5).floor().max(0.0) as i32;
-            // A direction that does not advance along any axis is no ray.
+            // A direction that does not advance along any axis is not a ray.
             end[n] = if t_out[n] < f64::INFINITY { to } else { 0 };
         }
         return Rays { delta, first, end };

@@ -160,7 +160,7 @@ def _poses(kind: str, name: str, time_s: float, content: bytes) -> list[IgtlPose
     if kind == "TRANSFORM":
         values = struct.unpack(">12f", content)
         rotation = np.array(values[:9], dtype=np.float64).reshape(3, 3).T
-        # Nine numbers in float32: a matrix that is no rotation is rejected, since it has no quaternion.
+        # Nine numbers in float32: a matrix that is not a rotation is rejected, since it has no quaternion.
         if not np.isfinite(rotation).all() or np.abs(rotation.T @ rotation - np.eye(3)).max() > 1e-3:
             raise ValueError("not a rotation")
         # The test above admits only near-orthonormal matrices, so the determinant is near 1 or near -1.

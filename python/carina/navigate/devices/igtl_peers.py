@@ -40,7 +40,7 @@ class IgtlClient(Source):
         Name of the only tool to use; None uses all.
     silence_s
         Time without data after which the connection is opened again. None never does so, since many peers send only
-        while a tool moves or is visible; TCP keep-alive detects a peer that is gone within some 10 s.
+        while a tool moves or is visible; TCP keep-alive detects a disconnected peer within some 10 s.
     """
 
     def __init__(
@@ -86,7 +86,7 @@ class IgtlClient(Source):
         finally:
             writer.close()
             for device in self._devices:
-                self._listener.gone(device)
+                self._listener.disconnected(device)
             self._devices.clear()
 
     async def _receive_bytes(self, reader: asyncio.StreamReader) -> bytes:
@@ -199,7 +199,7 @@ class IgtlServer:
                 async with asyncio.timeout(CLOSING_S):
                     await writer.wait_closed()
             except (OSError, ProtocolError, asyncio.CancelledError):
-                pass  # The peer is gone, or does not speak OpenIGTLink.
+                pass  # The peer has disconnected, or does not use OpenIGTLink.
             finally:
                 # Abort: a peer that does not read would otherwise keep the connection open until its data are flushed.
                 writer.transport.abort()

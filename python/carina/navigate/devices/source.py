@@ -29,10 +29,10 @@ WORDS = {
 
 @dataclass(frozen=True, slots=True)
 class Listener:
-    """Callbacks of a source, called from any thread: ``receive_sample(device, sample)`` and ``gone(device)``."""
+    """Callbacks of a source from any thread: ``receive_sample(device, sample)`` and ``disconnected(device)``."""
 
     receive_sample: Callable[[str, Sample], None]
-    gone: Callable[[str], None]
+    disconnected: Callable[[str], None]
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,7 +138,7 @@ class Source(ABC):
             if self._stopping.is_set():
                 break
             self._state, self._reason_text = "lost", words
-            self._listener.gone(self.address)
+            self._listener.disconnected(self.address)
             self._stopping.wait(self.RETRY_S)
 
 

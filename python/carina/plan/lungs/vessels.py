@@ -40,7 +40,7 @@ LOOK_EVERY = 20_000
 @one_line
 @dataclass(frozen=True, slots=True, eq=False)
 class VesselBranch:
-    """Part of a vessel from where it leaves its parent to its end."""
+    """Part of a vessel from its parent to its end."""
 
     points_lps: NDArray[np.float64]
     """(n, 3) smoothed centreline of the branch in LPS mm, from its wide end."""

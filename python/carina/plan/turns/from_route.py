@@ -272,7 +272,7 @@ class _Fork:
 
 
 def _place_mm(group: Sequence[_Fork]) -> float:
-    """Return the distance in mm of a group of forks from the origin: that of the main carina, else of the first."""
+    """Return the distance in mm of a group of forks from the origin, by the main carina or else by the first fork."""
     return next((fork for fork in group if fork.is_main_carina), group[0]).place_mm
 
 

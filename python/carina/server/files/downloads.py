@@ -59,12 +59,14 @@ class Downloads:
         volume, airways = self._session.ask(AirwaysQuery())
         async with self._one_at_a_time:
             folder = new_folder()
-            given_up = threading.Event()
+            is_cancelled = threading.Event()
             try:
-                path = await asyncio.to_thread(self._make, folder / f"{FILE_STEM}{suffix}", volume, airways, given_up)
+                path = await asyncio.to_thread(
+                    self._make, folder / f"{FILE_STEM}{suffix}", volume, airways, is_cancelled
+                )
             except BaseException:
-                # The request may also be cancelled by a shutdown; the export thread checks given_up and stops.
-                given_up.set()
+                # The request may also be cancelled by a shutdown; the export thread checks is_cancelled and stops.
+                is_cancelled.set()
                 rmtree(folder, ignore_errors=True)
                 raise
         return OneShotFileResponse(path, filename=path.name, headers={"cache-control": "no-store"})
@@ -108,11 +110,11 @@ class Downloads:
         headers = {"cache-control": "no-store", "content-disposition": disposition}
         return Response(content, media_type="application/zip", headers=headers)
 
-    def _make(self, path: Path, volume: Any, airways: Any, given_up: threading.Event) -> Path:
+    def _make(self, path: Path, volume: Any, airways: Any, is_cancelled: threading.Event) -> Path:
         try:
             return self._export(path, volume, airways)
         finally:
-            if given_up.is_set():
+            if is_cancelled.is_set():
                 rmtree(path.parent, ignore_errors=True)
 
 

@@ -13,7 +13,7 @@ from collections import OrderedDict
 from pathlib import PurePosixPath
 
 _TOKEN = re.compile(r"dropped-[0-9a-f]{8}(?:-[0-9]+(?:\.[a-z0-9]+)*)?")
-_KEPT = 16
+_MAX_UPLOADS = 16
 """Number of uploads whose names are stored; messages on the screen refer only to recent uploads."""
 _SUFFIXES = frozenset(
     [
@@ -91,9 +91,9 @@ class DroppedNames:
 
     def begin(self, tag: str) -> str:
         """Register a new upload by its tag, and return the neutral name of its folder."""
-        while len(self._uploads) >= _KEPT:
-            gone, _ = self._uploads.popitem(last=False)
-            self._numbers.pop(gone, None)
+        while len(self._uploads) >= _MAX_UPLOADS:
+            oldest, _ = self._uploads.popitem(last=False)
+            self._numbers.pop(oldest, None)
         self._uploads[tag], self._numbers[tag] = {}, {}
         return f"dropped-{tag}"
 

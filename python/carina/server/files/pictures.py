@@ -25,7 +25,7 @@ UPDATE_S = 20.0
 """Longest wait for the renderer to show the newest airways and transfer function."""
 LOOK_S = 0.05
 """Time between two checks."""
-GONE_CHECK_S = 0.2
+DISCONNECT_CHECK_S = 0.2
 """Time between two checks whether the client has disconnected."""
 
 
@@ -92,7 +92,7 @@ class Pictures:
         """Numbers of the windows of which a picture waits for its turn."""
 
     async def answer(
-        self, view: str, query: Mapping[str, str], *, is_gone: Callable[[], Awaitable[bool]] | None = None
+        self, view: str, query: Mapping[str, str], *, is_disconnected: Callable[[], Awaitable[bool]] | None = None
     ) -> Response:
         """Return a response with a view as PNG; the name of the file is the name of the view.
 
@@ -102,7 +102,7 @@ class Pictures:
             Name of the view.
         query
             Parameters of the request.
-        is_gone
+        is_disconnected
             Returns whether the client has disconnected; None never stops the picture.
 
         Raises
@@ -121,8 +121,8 @@ class Pictures:
         stop = CancelToken()
         work = asyncio.ensure_future(self._png_in_turn(view, order, stop))
         try:
-            while not (await asyncio.wait({work}, timeout=GONE_CHECK_S))[0]:
-                if is_gone is not None and await is_gone():
+            while not (await asyncio.wait({work}, timeout=DISCONNECT_CHECK_S))[0]:
+                if is_disconnected is not None and await is_disconnected():
                     raise CancelledError("the image was cancelled")
             png = work.result()
         finally:

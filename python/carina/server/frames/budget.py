@@ -66,7 +66,7 @@ With fewer pictures, a single delay would count as a lasting load.
 WAITS_RISE = 1.5
 """Upper limit of the estimated present wait for cores, as a multiple of the mean wait of the last 16 pictures."""
 RAYS_MATTER = 0.4
-"""Share of the time budget: ray times below this share are no reason to choose a coarser level."""
+"""Share of the time budget: ray times below this share do not lead to a coarser level."""
 EACH_S = 0.0005
 """Fixed seconds per picture outside the rays, used if the time of the rays is not measured."""
 CLOCK_VARIES = 1.3

@@ -132,7 +132,7 @@ class FramePump:
         self._frame_ids = itertools.count(1)
         self._answers: deque[tuple[float, float]] = deque()
         """Time of the first picture of each pose of the last second, and age of the pose at that time, in seconds."""
-        self._told_all = True
+        self._status_sent = True
         self._status_s = float("-inf")
         self._status_pose_id = -1
         self._last_words: dict[str, str] = {}
@@ -319,10 +319,10 @@ class FramePump:
             self._answers.append((now_s, now_s - scene.pose_s))
             while self._answers[0][0] < now_s - 1.0:
                 self._answers.popleft()
-            self._told_all = False
-        if self._told_all or not (header.full or now_s - self._status_s >= STATUS_EVERY_S):
+            self._status_sent = False
+        if self._status_sent or not (header.full or now_s - self._status_s >= STATUS_EVERY_S):
             return
-        self._status_s, self._told_all = now_s, True
+        self._status_s, self._status_sent = now_s, True
         ages_s = sorted(age_s for _, age_s in self._answers)
         spread_s = self._answers[-1][0] - self._answers[0][0]
         self._report(

@@ -69,7 +69,7 @@ class LanServer(TimedShutdownServer):
             timeout_graceful_shutdown=GRACE_S,
         )
         super().__init__(config, unauthenticated)
-        self._told_started = on_started
+        self._on_started = on_started
 
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
         """Start to listen, with a time limit for the TLS handshake."""
@@ -81,7 +81,7 @@ class LanServer(TimedShutdownServer):
             await super().startup(sockets=sockets)
         finally:
             loop.create_server = plain  # type: ignore[method-assign]
-        self._told_started()
+        self._on_started()
 
     @contextlib.contextmanager
     def capture_signals(self) -> Iterator[None]:

@@ -45,8 +45,8 @@ def observer_notes(notes: Sequence[wire.CaseNote]) -> tuple[wire.CaseNote, ...]:
 def _note_text(note: wire.CaseNote) -> str:
     if not note.code.startswith(ABOUT_THE_SCAN) or note.code in WITHOUT_NAMES:
         return note.words
-    asks = f"the scan check found a problem ({note.code}): ask the person at the workstation for the details"
-    return FIXED_WORDS.get(note.code, asks)
+    request = f"the scan check found a problem ({note.code}): ask the person at the workstation for the details"
+    return FIXED_WORDS.get(note.code, request)
 
 
 def observer_error(error: wire.Error) -> wire.Error:

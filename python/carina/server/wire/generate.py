@@ -93,10 +93,10 @@ def views_typescript() -> str:
                 "PLANES", "PlaneName", "Anatomical planes: patient axes of their normal and of the screen.", planes
             ),
             *_table("CELLS", "CellName", "Places of the window, and the views that each can show.", cells),
-            *_table("VIEWS", None, "Views; `carina.render.ViewRow` says what the fields mean.", views),
-            "/** What the scope sees. */",
+            *_table("VIEWS", None, "Views; `carina.render.ViewRow` describes the fields.", views),
+            "/** Name of the airway view, which shows the picture of the scope. */",
             f"export const LEAD_VIEW = {json.dumps(LEAD_VIEW)};",
-            "/** Stands in for it where it cannot follow. */",
+            "/** Name of the view that replaces the airway view while that view is too slow. */",
             f"export const FINDER_VIEW = {json.dumps(FINDER_VIEW)};",
             "",
         ]
@@ -109,7 +109,7 @@ def exports_typescript() -> str:
         "// Generated from python/carina/export/format_table.py by "
         "`python -m carina.server.wire.generate`. Do not edit.",
         "",
-        "/** What a person calls it, the files that hold it, and who reads those. */",
+        "/** Export formats by content: title, suffixes of the files, and the programs that read them. */",
         "export const EXPORTS = [",
     ]
     for kind, title in EXPORT_TITLES.items():
@@ -252,7 +252,7 @@ def typescript() -> str:
         *(f"  {json.dumps(name)}: {code}," for name, code in messages.CLOSE_CODES.items()),
         "} as const;",
         "",
-        "/** Largest angle in degrees of an opening straight ahead; least ratio of the others' angles to it. */",
+        "/** Largest angle of an opening straight ahead, degrees; least ratio of the other openings' angles to it. */",
         f"export const STRAIGHT_AHEAD = {{ most_deg: {AHEAD_DEG}, times: {AHEAD_TIMES} }} as const;",
         "",
         "/** 4x4, row-major. */",
@@ -285,14 +285,14 @@ def _display_fields() -> list[str]:
     commands = {type_name(cls) for cls in all_commands()}
     for name, value in (("LOOK", Look()), ("SIGHT", Sight())):
         lines += [
-            f"/** What `{name.lower()}` begins with. */",
+            f"/** Initial value of `{name.lower()}`. */",
             f"export const FIRST_{name}: {type(value).__name__} = {json.dumps(msgspec.to_builtins(value), indent=2)};",
             "",
         ]
     lines += [
         "/**",
-        " * Commands that set a field of `look` or `sight`: from their own field `from`, or from all where it is null;",
-        " * with `by_view` the field has a value for each view.",
+        " * Commands that set one field of `look` or `sight`, to the value of their field `from`; null uses all fields",
+        " * of the command. With `by_view` the field has a value for each view.",
         " */",
         "export const SETS = {",
     ]
@@ -312,7 +312,7 @@ def _display_fields() -> list[str]:
         *lines,
         "} as const;",
         "",
-        "/** What a client sends that is no command, and that `handled` does not count. */",
+        "/** Messages of a client that are not commands; `handled` does not count them. */",
         f"export const NO_COMMANDS: readonly string[] = [{connections_own}];",
         "",
     ]

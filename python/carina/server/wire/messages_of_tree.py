@@ -106,7 +106,7 @@ class AbsentAirway(FrozenValue, frozen=True):
     name: Words
     """Short and long name, such as RB4 (lateral segment, RML)."""
     reason: Words
-    """Description of what the CT shows there; the command line, reports and exports use the same text."""
+    """Description of the findings of the CT there; the command line, reports and exports use the same text."""
     lps: PointLps | None
     """Point where the airway ends, or where the tree should continue to it; null if no such point is known."""
 

@@ -30,7 +30,7 @@ from carina.track import (
 if TYPE_CHECKING:
     from carina.track import TreeEdit
 
-MAX_AIRWAYS_KEPT = 4
+MAX_STORED_AIRWAYS = 4
 """Number of segmented airways that undo can restore; a lumen and its tracker take some hundred megabytes."""
 NUM_EDITS_WHOLE = 6
 """Number of edited airway trees around the current undo step that stay unpacked.
@@ -154,7 +154,7 @@ class TreeEditHandlers(CommandHandlers):
         before = case.document
         case.search = replace(case.search, words=airway_words(document.airways))
         self.core.change(case, label, document)
-        case.history.keep_distinct(found_airways, MAX_AIRWAYS_KEPT)
+        case.history.keep_distinct(found_airways, MAX_STORED_AIRWAYS)
         for line in _lost_messages(before, document):
             self.core.emit(UserMessage(line))
 

@@ -14,7 +14,7 @@ from carina import commands as c
 from carina.case.document import Document, Point, Target
 from carina.case.routes import ChosenRoute, default_branch_id, route_to_branch
 from carina.errors import CarinaError, NoResultError, TrackingError, UsageError
-from carina.session.airways.editing import MAX_AIRWAYS_KEPT, airway_words, found_airways
+from carina.session.airways.editing import MAX_STORED_AIRWAYS, airway_words, found_airways
 from carina.session.command_registry import CommandHandlers, answers, does
 from carina.session.core import ALL_TOPICS
 from carina.session.flights.tip_commands import place_pose
@@ -63,14 +63,14 @@ class AirwayHandlers(CommandHandlers):
     def mask_file_needed(self, _mask_question: c.MaskFileNeeded) -> bool:
         """Return whether the imported file is still needed, because a job reads it or a question about it is open."""
         with self.core.lock:
-            is_open = self.core.case is not None and self.core.case.asked_mask is not None
+            is_open = self.core.case is not None and self.core.case.pending_mask is not None
             return is_open or any(job.kind == "mask" for job in self.core.jobs.running)
 
     @does(c.TakeMask)
     def take_mask(self, command: c.TakeMask) -> str:
         """Import a segmentation: one job reads and resamples the mask, and another one builds its tree.
 
-        The jobs fail with a message if the file is no mask of the scan.
+        The jobs fail with a message if the file is not a mask of the scan.
         """
         path, label, resample = command.path, command.label, command.resample
         case = self.core.needed_case()
@@ -104,7 +104,7 @@ class AirwayHandlers(CommandHandlers):
         UsageError
             If no question is open.
         """
-        open_question = self.core.needed_case().asked_mask
+        open_question = self.core.needed_case().pending_mask
         if open_question is None:
             raise UsageError(
                 "the imported segmentation is no longer available; choose its file again", code="session.mask"
@@ -122,8 +122,8 @@ class AirwayHandlers(CommandHandlers):
             self._request_mask_answer(case, None)
 
     def _request_mask_answer(self, case: OpenCase, mask: PendingMask | None) -> None:
-        if case.asked_mask is not mask:
-            case.asked_mask = mask
+        if case.pending_mask is not mask:
+            case.pending_mask = mask
             self.core.changed("state")
 
     def follow(self, case: OpenCase) -> None:
@@ -248,7 +248,7 @@ class AirwayHandlers(CommandHandlers):
             case.history.amend_current(lambda _: found)
         else:
             self.core.add_step(case, label, found)
-            case.history.keep_distinct(found_airways, MAX_AIRWAYS_KEPT)
+            case.history.keep_distinct(found_airways, MAX_STORED_AIRWAYS)
         case.search = AirwaySearch("found", airway_words(airways))
         self.core.follow(case)
         if not case.last_move.person_moved:

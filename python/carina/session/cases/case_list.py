@@ -106,8 +106,8 @@ class CaseList(CommandHandlers):
         """Return the state and size of the CT cache, and the forgotten cases that can be restored."""
         records, cache = self._saving.records, self._saving.cache
         sizes = () if cache is None else cache.sizes()
-        gone = () if records is None else records.forgotten()
-        forgotten = tuple(_entry_of_record(one, records, opens=True) for one in gone if records is not None)
+        deleted = () if records is None else records.forgotten()
+        forgotten = tuple(_entry_of_record(one, records, opens=True) for one in deleted if records is not None)
         keeps: Literal["on", "off", "never"] = "never"
         if cache is not None and cache.can_be_on:
             keeps = "on" if cache.is_on else "off"
@@ -162,10 +162,10 @@ class CaseList(CommandHandlers):
         if place is None:
             records, record = self._existing_record(command.recent_id)
             try:
-                gone = records.forget(record)
+                deleted = records.forget(record)
             except OSError as error:
                 raise disk_trouble(error, "cannot forget the case", None) from error
-            if not gone:
+            if not deleted:
                 raise UsageError("this case is open; close it before forgetting it", code="case.open")
             place = record.place
             if self._saving.cache is not None and records.newest_of(record.digest) is None:

@@ -72,7 +72,7 @@ class ObserverHandlers(CommandHandlers):
         before, mode = case.navigator.pose, case.navigator.mode
         case.history = moment.history()
         case.measured.replace_all(moment.measures)
-        case.scope.awaited = None
+        case.scope.pending = None
         restore(case, moment)
         self.core.follow(case)
         if case.navigator.mode != mode or not np.array_equal(

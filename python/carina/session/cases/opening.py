@@ -241,7 +241,7 @@ class CaseOpener(CommandHandlers):
         with self.core.lock:
             case = self.core.needed_case()
             place = self._saving.place_of(case)
-        return self._open("starting a new case", lambda _job: case.info.volume, None, place, anew=True)
+        return self._open("starting a new case", lambda _job: case.info.volume, None, place, as_new_case=True)
 
     @does(c.OpenVolume)
     def open_volume(self, command: c.OpenVolume) -> str:
@@ -314,7 +314,7 @@ class CaseOpener(CommandHandlers):
         place: str | None = None,
         *,
         case_id: str | None = None,
-        anew: bool = False,
+        as_new_case: bool = False,
         given: Moment | None = None,
         finds: bool = True,
         found: _OpenedFile | None = None,
@@ -349,7 +349,7 @@ class CaseOpener(CommandHandlers):
                     stored = keeping.imported(volume, found.file, found.mark)
                 elif given is not None:
                     pass
-                elif anew:
+                elif as_new_case:
                     keeping.begin(volume)
                 else:
                     stored = keeping.reopened(volume, case_id)

@@ -116,15 +116,14 @@ class Derived(Generic[Inputs, Value]):
         self._error: BaseException | None = None
         self._runs = False
         self._job_id = ""
-        self._wanted_after_stop = False
+        self._requested_after_stop = False
         """Whether other inputs were requested after the user stopped the job and before the job ended."""
         self._discarded = False
 
     def __repr__(self) -> str:
         """Return the kind of the value and the status of its computation for the requested inputs."""
         with self._lock:
-            standing = "unwanted" if self._wanted is None else self.standing(self._wanted)
-            return f"Derived({self._kind!r}, {standing})"
+            return f"Derived({self._kind!r}, {self.standing(self._wanted)})"
 
     # ------------------------------------------------------------ state
 
@@ -134,12 +133,14 @@ class Derived(Generic[Inputs, Value]):
             had = self._had
             return had[1] if had is not None and self._are_same(inputs, had[0]) else None
 
-    def standing(self, inputs: Inputs) -> Standing:
+    def standing(self, inputs: Inputs | None) -> Standing:
         """Return the status of the value of these inputs.
 
-        The status is *had* (available), *making*, *failed*, *stopped* or *unwanted* (not requested).
+        The status is *had* (available), *making*, *failed*, *stopped* or *unwanted* (not requested, or no inputs).
         """
         with self._lock:
+            if inputs is None:
+                return "unwanted"
             if self._had is not None and self._are_same(inputs, self._had[0]):
                 return "had"
             if not self._are_same(inputs, self._wanted):
@@ -174,7 +175,7 @@ class Derived(Generic[Inputs, Value]):
             if self._discarded:
                 return
             if not self._are_same(inputs, self._wanted):
-                self._wanted_after_stop = self._is_stopping()
+                self._requested_after_stop = self._is_stopping()
                 self._wanted, self._then = inputs, None
                 self._outcome, self._error = "open", None
             had = self._had
@@ -188,7 +189,7 @@ class Derived(Generic[Inputs, Value]):
         """Allow a failed or stopped computation to run again at the next request, because the user requested it."""
         with self._lock:
             self._outcome, self._error = "open", None
-            self._wanted_after_stop = self._wanted_after_stop or self._is_stopping()
+            self._requested_after_stop = self._requested_after_stop or self._is_stopping()
 
     def discard(self) -> None:
         """Stop the computation and release all values, because the case is being closed."""
@@ -220,7 +221,7 @@ class Derived(Generic[Inputs, Value]):
         if self._runs or not self._is_open():
             return
         # The flag is set before the start, because a job that runs synchronously has ended when start() returns.
-        self._runs, self._wanted_after_stop = True, False
+        self._runs, self._requested_after_stop = True, False
         try:
             job_id = self._jobs.start(self._kind, self._title, self._run_job)
         except BaseException:
@@ -269,7 +270,7 @@ class Derived(Generic[Inputs, Value]):
         self._runs = False
         if not self._is_open():
             return
-        newer = self._wanted_after_stop if job.cancel() else attempt is not None and attempt.is_stale()
+        newer = self._requested_after_stop if job.cancel() else attempt is not None and attempt.is_stale()
         if newer:
             # A request after the stop or during the failed computation gets its own attempt.
             self._start_job()

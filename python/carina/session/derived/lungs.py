@@ -82,8 +82,8 @@ class CaseLungs:
         )
         self._early: tuple[Airways, LungMap] | None = None
         """Airways and their lung map with vessels only, shown while the job still segments the lobes."""
-        self._asked_reach: tuple[str, str] | None = None
-        self._asked_lungs = False
+        self._requested_reach: tuple[str, str] | None = None
+        self._are_lungs_requested = False
         self._document: Document | None = None
         self._stations: Cached[Airways, tuple[Landmark, ...]] = Cached(partial(_stations, volume, parts))
         self._shown: Cached[tuple[Any, ...], ShownLayers] = Cached(
@@ -93,15 +93,13 @@ class CaseLungs:
     def info(self) -> LungsInfo:
         """Return the state of the maps; the caller holds the session's lock."""
         airways = None if self._document is None else self._document.airways
-        lungs, reach, inputs = self._lung_inputs(airways), None, self._reach_inputs(airways)
-        standing: Standing = "unwanted" if airways is None else self._lungs.standing(airways)
-        reach_standing: Standing = "unwanted"
-        if inputs is not None:
-            reach, reach_standing = self._reach.of(inputs), self._reach.standing(inputs)
-        outdated = (self._asked_lungs and standing == "unwanted") or (
-            self._asked_reach is not None and reach_standing == "unwanted"
+        lungs, inputs = self._lung_inputs(airways), self._reach_inputs(airways)
+        reach = self._reach.of(inputs)
+        standing, reach_standing = self._lungs.standing(airways), self._reach.standing(inputs)
+        outdated = (self._are_lungs_requested and standing == "unwanted") or (
+            self._requested_reach is not None and reach_standing == "unwanted"
         )
-        is_requested = airways is not None and self._asked_lungs and standing != "unwanted"
+        is_requested = airways is not None and self._are_lungs_requested and standing != "unwanted"
         return LungsInfo(
             lungs=lungs,
             standing=standing,
@@ -119,7 +117,7 @@ class CaseLungs:
         if document is None or document.airways is None:
             return None
         lungs, inputs = self._lung_inputs(document.airways), self._reach_inputs(document.airways)
-        reach = None if inputs is None else self._reach.of(inputs)
+        reach = self._reach.of(inputs)
         if lungs is None and reach is None:
             return None
         nodules = tuple(target.lesion.nodule for target in document.targets if target.lesion is not None)
@@ -127,14 +125,14 @@ class CaseLungs:
 
     def map_lungs(self, airways: Airways) -> None:
         """Start the map of the lungs that the user requested; the caller holds the session's lock."""
-        self._asked_lungs = True
+        self._are_lungs_requested = True
         self._lungs.again()
         self._lungs.want(airways)
         self._changed()
 
     def map_reach(self, airways: Airways, scope: str, tool: str) -> None:
         """Start the map of an instrument's reach that the user requested; the caller holds the session's lock."""
-        self._asked_reach = (scope, tool)
+        self._requested_reach = (scope, tool)
         self._reach.again()
         self._reach.want((airways, scope, tool))
         self._changed()
@@ -163,7 +161,7 @@ class CaseLungs:
         return made
 
     def _reach_inputs(self, airways: Airways | None) -> ReachInputs | None:
-        return None if airways is None or self._asked_reach is None else (airways, *self._asked_reach)
+        return None if airways is None or self._requested_reach is None else (airways, *self._requested_reach)
 
     def _wall_of(self, airways: Airways, attempt: Attempt[Any]) -> WallField:
         with self._lock:

@@ -307,8 +307,7 @@ class CasePlanning:
 
     def standing(self) -> Standing:
         """Return the status of the job that computes the plans of all targets."""
-        inputs = self._inputs(self._document)
-        return "unwanted" if inputs is None else self._plans.standing(inputs)
+        return self._plans.standing(self._inputs(self._document))
 
     def verdicts(self) -> tuple[Verdict, ...]:
         """Return the available verdicts on the chosen route."""
@@ -320,8 +319,7 @@ class CasePlanning:
 
     def verdicts_standing(self) -> Standing:
         """Return the status of the job that computes the verdicts on the chosen route."""
-        inputs = self._verdict_inputs()
-        return "unwanted" if inputs is None else self._verdicts.standing(inputs)
+        return self._verdicts.standing(self._verdict_inputs())
 
     def pairs(self, available: tuple[str, ...] | None) -> tuple[Verdict, ...]:
         """Return the available verdicts on pairs of route and instrument for the target of the chosen route.
@@ -345,8 +343,7 @@ class CasePlanning:
 
     def pairs_standing(self) -> Standing:
         """Return the status of the job that computes the verdicts on pairs."""
-        inputs = self._pair_inputs()
-        return "unwanted" if inputs is None else self._pairs.standing(inputs)
+        return self._pairs.standing(self._pair_inputs())
 
     def turns(self) -> TurnList | None:
         """Return the turns of the chosen route; None without one, or while their openings are being located.
@@ -369,8 +366,7 @@ class CasePlanning:
 
     def carm_standing(self) -> Standing:
         """Return the status of the job that searches the positions of a C-arm."""
-        inputs = self._carm_inputs()
-        return "unwanted" if inputs is None else self._carm.standing(inputs)
+        return self._carm.standing(self._carm_inputs())
 
     def begin_mark(self) -> Callable[[], bool]:
         """Count a search for the target under a cursor; return a function that states whether it is the newest one."""
@@ -501,7 +497,7 @@ class CasePlanning:
         The caller holds the session's lock.
         """
         verdicts = self._verdict_inputs()
-        ended = verdicts is not None and self._verdicts.standing(verdicts) in {"had", "failed"}
+        ended = self._verdicts.standing(verdicts) in {"had", "failed"}
         derived: tuple[tuple[Derived[Any, Any], tuple[Any, ...] | None], ...] = (
             (self._carm, self._carm_inputs()),
             (self._pairs, self._pair_inputs()),

@@ -80,7 +80,7 @@ class DeviceHandlers(CommandHandlers):
         self.core.device_woken.set()
 
     @does(c.DeviceGone)
-    def gone(self, command: c.DeviceGone) -> None:
+    def remove_device(self, command: c.DeviceGone) -> None:
         """Remove a disconnected device from the open case; do nothing while no case is open."""
         with self.core.lock:
             if self.core.case is not None:

@@ -135,7 +135,7 @@ class FlightRecorder(CommandHandlers):
                 begun = RecordingFacts(into.number, name, "", into.begun_s, 0.0, complete=False)
                 case.flights.listed = (*case.flights.listed, begun)
             if case.navigator.scope_state is not None:
-                # A replay can only start from a scope that is laid into the lumen.
+                # A replay can only start from a scope that is in the lumen.
                 self._holding.lay(case, case.navigator.scope_state.insertion_mm)
             self.core.changed("state", "flights")
 

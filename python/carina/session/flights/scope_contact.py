@@ -1,4 +1,4 @@
-"""Scope in the lumen: a job computes the airway wall, and the scope is then laid along the route."""
+"""Scope in the lumen: a job computes the airway wall, and the scope is then inserted along the route."""
 
 from __future__ import annotations
 
@@ -34,17 +34,17 @@ class ScopeContactHandlers(CommandHandlers):
         """Restore the scope that was in the lumen when the case was closed, once the wall is computed."""
 
         def lay(_wall: object) -> None:
-            awaited, case.scope.awaited = case.scope.awaited, None
-            if awaited is not None and self.core.case is case and awaited.is_due(case):
-                scope = awaited.scope
+            pending, case.scope.pending = case.scope.pending, None
+            if pending is not None and self.core.case is case and pending.is_due(case):
+                scope = pending.scope
                 self.lay(case, scope.insertion_mm)
                 case.navigator.hold_scope(scope.insertion_mm, scope.roll_rad, scope.flexion_rad)
                 self.core.moved()
                 self.core.changed("state", "pose", "views")
 
         with self.core.lock:
-            if case.scope.awaited is not None:
-                case.wall.want(case.scope.awaited.airways, then=lay)
+            if case.scope.pending is not None:
+                case.wall.want(case.scope.pending.airways, then=lay)
 
     def _lay_if_same_airways(self, case: OpenCase, airways: Airways) -> None:
         """Lay the scope along the route if the document still has the airways of the wall.
@@ -67,7 +67,7 @@ class ScopeContactHandlers(CommandHandlers):
         name = case.document.look.scope or DEFAULT_SCOPE
         points = tuple(as_point(point) for point in route.points_lps)
         self.core.fly(LayScope(name, points, float(insertion_mm)))
-        case.scope.laid = name
+        case.scope.inserted = name
 
     def follow(self, case: OpenCase) -> None:
         """Lay the scope again after a change of the instrument; switch to free movement after a change of the lumen."""
@@ -77,5 +77,5 @@ class ScopeContactHandlers(CommandHandlers):
         if case.wall.of(case.document.airways) is None:
             self.core.fly(c.SetMode("free"))
             self.core.emit(UserMessage("the airways have changed: reinsert the scope to use the updated airways"))
-        elif (case.document.look.scope or DEFAULT_SCOPE) != case.scope.laid:
+        elif (case.document.look.scope or DEFAULT_SCOPE) != case.scope.inserted:
             self.lay(case, state.insertion_mm)

@@ -45,7 +45,7 @@ class TipHandlers(CommandHandlers):
 
     @does(c.SetMode)
     def set_mode(self, command: c.SetMode) -> None:
-        """Set the mode of movement; a job computes the wall before a scope is laid into the lumen."""
+        """Set the mode of movement; a job computes the wall before a scope is inserted into the lumen."""
         case = self.core.needed_case()
         if command.mode != "scope":
             self.core.fly(command)

@@ -77,10 +77,10 @@ class VerdictDriveHandlers(CommandHandlers):
             writers = {one.number: one for one in case.flights.unwritten if one.closed}
             found = []
             for facts in case.flights.listed:
-                num_kept, text = (
+                num_stored, text = (
                     writers[facts.recording_id].unsaved_part() if facts.recording_id in writers else (1, "")
                 )
-                if num_kept == 0:
+                if num_stored == 0:
                     found.append(WholeRecording(facts, text))
             return tuple(found)
 

@@ -91,7 +91,7 @@ def _fault_error(title: str, trouble: BaseException) -> CarinaError:
 def _disk_or_memory_error(title: str, trouble: OSError) -> CarinaError:
     """Return a Carina error for an OSError of a job.
 
-    Disk errors, such as a full disk, are no internal faults of Carina.
+    Disk errors, such as a full disk, are not internal faults of Carina.
     """
     if is_disk_trouble(trouble):
         return disk_trouble(trouble, f"{title} failed", None)
@@ -119,7 +119,7 @@ class Job:
 
         The time left is extrapolated from them.
         """
-        self._told_s = float("-inf")
+        self._reported_s = float("-inf")
         self.latest: JobProgress | None = None
 
     def cancel(self) -> bool:
@@ -162,7 +162,7 @@ class Job:
             # If the fraction continues from the previous stage, it is a fraction of the whole job.
             if before is None or fraction is None or fraction < before:
                 self._began_s, self._began_at = now_s, fraction or 0.0
-            self._stage, self._told_s = what, float("-inf")
+            self._stage, self._reported_s = what, float("-inf")
         left_s: float | None = None
         if fraction is not None:
             fraction = min(1.0, max(0.0, fraction))
@@ -171,8 +171,8 @@ class Job:
             if done >= 0.05:
                 left_s = (now_s - self._began_s) * (1.0 - fraction) / done
         self.latest = JobProgress(self.job_id, self.title, what, fraction, left_s)
-        if now_s - self._told_s >= 0.1:
-            self._told_s = now_s
+        if now_s - self._reported_s >= 0.1:
+            self._reported_s = now_s
             self._runner.notify(self.latest)
 
 
@@ -312,7 +312,7 @@ class JobRunner:
         except OSError as exc:
             outcome, error = "failed", _disk_or_memory_error(job.title, exc)
         except BaseException as exc:
-            # BaseException, because a panic of the compiled module is no Exception; every job must report its end.
+            # BaseException, because a panic of the compiled module is not an Exception; every job must report its end.
             outcome, error = "failed", _fault_error(job.title, exc)
         return_freed_memory()
         job_group = current_group()

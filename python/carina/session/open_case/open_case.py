@@ -126,10 +126,10 @@ class PendingScope:
 class ScopeInLumen:
     """The scope in the lumen, or the scope that waits for the airway wall."""
 
-    laid: str | None = None
-    """Name of the scope preset that was last laid into the lumen; None before the first one."""
-    awaited: PendingScope | None = None
-    """Scope that is laid into the lumen as soon as the airway wall is computed."""
+    inserted: str | None = None
+    """Name of the scope preset that was last inserted into the lumen; None before the first one."""
+    pending: PendingScope | None = None
+    """Scope that is inserted into the lumen as soon as the airway wall is computed."""
 
 
 @dataclass(slots=True)
@@ -173,7 +173,7 @@ class OpenCase:
     scope: ScopeInLumen = field(default_factory=ScopeInLumen)
     flown_route: ChosenRoute | None = None
     """The route whose path was last passed to the pilot."""
-    asked_mask: PendingMask | None = None
+    pending_mask: PendingMask | None = None
     armed_pen: ArmPen = field(default_factory=lambda: ArmPen(None))
     """Kind of point that the button of the pen marks."""
     begun_s: float = 0.0
@@ -332,7 +332,7 @@ def new_case(
 
 
 def restore(case: OpenCase, stored: Moment) -> None:
-    """Restore tip, search status and numbers of a stored case; a scope is laid in once the wall is computed."""
+    """Restore tip, search status and numbers of a stored case; a scope is inserted once the wall is computed."""
     document = case.document
     case.flown_route = document.route
     case.pilot.apply(path_move(None if document.airways is None else document.airways.tree, document.route))
@@ -346,16 +346,16 @@ def restore(case: OpenCase, stored: Moment) -> None:
     case.numbers = dict(stored.numbers)
     if stored.scope is not None and document.airways is not None and document.route is not None:
         tip = case.navigator
-        case.scope.awaited = PendingScope(stored.scope, document.airways, tip.mode, tip.pose)
+        case.scope.pending = PendingScope(stored.scope, document.airways, tip.mode, tip.pose)
 
 
 def moment_of(case: OpenCase) -> Moment:
     """Return all state of a case that is stored; immutable parts are shared. The caller holds the session's lock."""
-    history, held, awaited = case.history, case.navigator.scope_state, case.scope.awaited
+    history, held, pending = case.history, case.navigator.scope_state, case.scope.pending
     scope = None if held is None else held.hold
-    if scope is None and awaited is not None and awaited.is_due(case):
+    if scope is None and pending is not None and pending.is_due(case):
         # The scope must also be restored if Carina is killed before the wall is computed.
-        scope = awaited.scope
+        scope = pending.scope
     return Moment(
         first=history.first,
         steps=history.steps,

@@ -228,7 +228,7 @@ class Autosave(CommandHandlers):
         self._saver: CaseSaver | None = None
         self._ending: list[CaseSaver] = []
         """Case savers whose disk did not respond when their case was closed."""
-        self._awaited: str | None = None
+        self._expected_digest: str | None = None
         """Digest of the CT that the user must open to continue a dropped case; None if no case waits."""
         if records is not None:
             core.subscribe(self._on_event)
@@ -403,13 +403,13 @@ class Autosave(CommandHandlers):
             reopened = self.adopt_copy(case, None)
             reopened.file.close()
             reopened.held.release()
-        self._awaited = case.digest
+        self._expected_digest = case.digest
         return True
 
     def notify_still_waiting(self, digest: str | None) -> None:
         """Notify the user if the opened CT is not that of the dropped case that waits for its CT."""
-        awaited, self._awaited = self._awaited, None
-        if awaited is not None and digest != awaited:
+        expected, self._expected_digest = self._expected_digest, None
+        if expected is not None and digest != expected:
             self.core.emit(
                 UserMessage(
                     "this is not the CT of the case that you dropped; that case stays in the list of recent cases"
@@ -688,10 +688,10 @@ class Autosave(CommandHandlers):
         case, saver = self.core.needed_case(), self._saver
         if saver is None or saver.case is not case:
             raise UsageError("this case is no longer open here", code="case.closed")
-        is_kept = saver.settle()
+        is_saved = saver.settle()
         if self._saver is not saver or saver.has_ended:
             raise UsageError("this case is no longer open here", code="case.closed")
-        if not is_kept:
+        if not is_saved:
             raise CarinaError(saver.info.problem or NOT_RESPONDING, code="case.not-saved")
 
     @answers(c.FlightFileQuery)

@@ -143,7 +143,7 @@ class CaseSaver:
         self._is_slow = False
         self._saved = None if file is None else moment_of(case)
         """State of the case in the live file."""
-        self._num_begun = self._num_kept = self._num_failed = 0
+        self._num_begun = self._num_written = self._num_failed = 0
         """Counters of writes of the live file: number of the last begun, the last finished and the last failed write.
         """
         self._num_saved = self._num_copied = 0
@@ -159,7 +159,7 @@ class CaseSaver:
                 self._named, self._is_named_checked = _recorded_file(held.record), False
             if held.record.used_s > (held.record.copied_s or 0.0):
                 self._num_copied = -1
-        self._flights_kept: object = None
+        self._written_flights: object = None
         """Object identity of the list of flights that was last written to the live file."""
         self._is_ending = self._has_ended = False
         self._pictured = False
@@ -202,18 +202,18 @@ class CaseSaver:
         with self._wake:
             begun = self._num_begun
 
-            def is_kept() -> bool:
-                return self._num_kept > begun or (self._changed_s is None and self._busy is None)
+            def is_written() -> bool:
+                return self._num_written > begun or (self._changed_s is None and self._busy is None)
 
             def is_done() -> bool:
                 # This condition includes the fields of the record; if only these cannot be written, no work is lost.
-                return self._num_kept > begun or (is_kept() and not self._notes)
+                return self._num_written > begun or (is_written() and not self._notes)
 
             if not is_done():
                 self._is_urgent = True
                 self._wake.notify_all()
                 self._wake.wait_for(lambda: is_done() or self._num_failed > begun or self._is_slow or self._has_ended)
-            return is_kept()
+            return is_written()
 
     def end(self, within_s: float | None = None) -> bool:
         """Write the remaining changes and release the case; return whether both are done.
@@ -475,7 +475,7 @@ class CaseSaver:
                 exc = error
             with self._change_info(written | {"problem": None if exc is None else _error_text(exc)}):
                 if exc is None:
-                    self._num_kept = self._num_begun
+                    self._num_written = self._num_begun
                     if changed_s is not None:
                         self._num_saved = self._num_begun
                 else:
@@ -518,9 +518,9 @@ class CaseSaver:
             self._saved = moment
             for recording in recorded:
                 self.file.keep_recording(recording)
-            if flights is not self._flights_kept:
+            if flights is not self._written_flights:
                 self.file.set_recordings(flights, removed=removed)
-                self._flights_kept = flights
+                self._written_flights = flights
             self._elsewhere = None
             with self._core.lock:
                 self.case.flights.unwritten = tuple(one for one in self.case.flights.unwritten if not one.is_complete)

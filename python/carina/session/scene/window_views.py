@@ -28,7 +28,7 @@ class Sights:
         """Return the sight of a window; the latest sight for None or for an unknown window."""
         return self.latest if window is None else self._of_windows.get(window, self.latest)
 
-    def change(self, window: int | None, change: Callable[[Sight], Sight], *, is_kept: bool = True) -> bool:
+    def change(self, window: int | None, change: Callable[[Sight], Sight], *, is_latest: bool = True) -> bool:
         """Change the sight of one window, or of all windows if ``window`` is None.
 
         Parameters
@@ -37,7 +37,7 @@ class Sights:
             Number of the window.
         change
             Returns the new sight; it returns the same object if nothing changes.
-        is_kept
+        is_latest
             Whether the new sight of a window also becomes the latest sight.
 
         Returns
@@ -48,7 +48,7 @@ class Sights:
         if window is not None:
             before = self.of(window)
             self._of_windows[window] = change(before)
-            if is_kept:
+            if is_latest:
                 self.latest = self._of_windows[window]
             return self._of_windows[window] is not before
         before_all = self.latest, self._of_windows

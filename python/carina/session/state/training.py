@@ -127,7 +127,7 @@ class QuizInfo(FrozenValue, frozen=True):
     num_questions: Count
     choices: tuple[Words, ...]
     lps_from_tip: Annotated[tuple[Wide, ...], Meta(min_length=16, max_length=16)]
-    """Pose from which the question is asked, row by row, mm."""
+    """Pose of the tip for the question, row by row, mm."""
     num_right: Count
     """Number of right answers so far."""
     given: Words | None = None

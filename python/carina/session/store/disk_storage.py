@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, cast
 import numpy as np
 
 from carina.case import CaseFile, CaseFileError, SourceFacts
-from carina.case.file import migrate_live
+from carina.case.migration import migrate_live
 from carina.session.store.find_scan import CaseScans
 from carina.session.store.interfaces import CaseFileFunctions, StoredCaseFile, WholeCase
 from carina.volume import Volume

@@ -23,7 +23,7 @@ Cancel = Callable[[], bool] | None
 
 
 def is_case_file(path: str | Path) -> bool:
-    """Return whether a path has the suffix of case files and is no folder (a folder contains slices)."""
+    """Return whether a path has the suffix of case files and is not a folder (a folder contains slices)."""
     place = Path(path)
     return place.suffix.lower() == CASE_SUFFIX and not place.is_dir()
 

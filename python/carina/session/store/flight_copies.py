@@ -47,8 +47,8 @@ def whole_flights(
     # Flights that are only in memory come first, because they need no disk.
     for facts in listed:
         writer = by_number.get(facts.recording_id)
-        num_kept, unsaved_part = (1, "") if writer is None else writer.unsaved_part()
-        if num_kept == 0:
+        num_stored, unsaved_part = (1, "") if writer is None else writer.unsaved_part()
+        if num_stored == 0:
             found[facts.recording_id] = WholeRecording(facts, unsaved_part)
     to_read = [one for one in listed if one.recording_id not in found]
     is_late = threading.Event()
@@ -75,12 +75,12 @@ def whole_flights(
 def _flight_text(file: StoredCaseFile | None, number: int, writer: RecordingWriter | None) -> str:
     """Return all lines of a flight: those in the file, followed by those that are only in memory."""
     while True:
-        num_kept, unsaved_part = (1, "") if writer is None else writer.unsaved_part()
-        if num_kept == 0:
+        num_stored, unsaved_part = (1, "") if writer is None else writer.unsaved_part()
+        if num_stored == 0:
             return unsaved_part
         if file is None:
             raise CarinaError("its file is not there", code="case.not-saved")
         text = file.recording_text(number)
         # The count differs if the file has grown meanwhile; `CaseFile.keep_recording` adds all or none of them.
-        if writer is None or writer.unsaved_part()[0] == num_kept:
+        if writer is None or writer.unsaved_part()[0] == num_stored:
             return text + unsaved_part

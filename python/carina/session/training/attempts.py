@@ -138,7 +138,7 @@ class TrainingHandlers(CommandHandlers):
         self._recorder.start(c.RecordFlight(name=f"{task.title}, attempt {number}"))
         case.pilot.wall, case.pilot.wall_made_from = wall.field, wall.made_from
         self.core.fly(LayScope(scope.name, way, ENTRY_MM))
-        case.scope.laid = scope.name
+        case.scope.inserted = scope.name
         self._recorder.note_task(task_to_json(task))
         flight = self._recorder.flight_number
         assert flight is not None

@@ -1,4 +1,4 @@
-"""Commands of quizzes: questions about the names of segments, asked from poses of the tip."""
+"""Commands of quizzes: questions about the names of segments, each at a pose of the tip."""
 
 from __future__ import annotations
 

@@ -70,7 +70,7 @@ A darker middle with walls all round, but none within ``NEAR_MM``, is such a lum
 noise, and so is the radius that follows from it.
 """
 NO_LUMEN_HU, NO_LUMEN = -450.0, -100.0
-"""Mean over 2.5 mm, in HU, above which the middle of a section is no lumen; gain (log odds) of such a section."""
+"""Mean over 2.5 mm, in HU, above which the middle of a section is not lumen; gain (log odds) of such a section."""
 MOUTH_MM = 4.0
 """Length in mm inside the lumen that a path leaves, over which the widest section gives the width of that lumen."""
 MAX_TURN_DEG = 130.0

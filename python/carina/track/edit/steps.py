@@ -156,9 +156,9 @@ class EditSteps:
             raise UsageError(msg, code="track.edit-root")
         below = [member.points for member in self.draft.below(branch.id)]
         below[0] = below[0][last + 1 :]
-        gone = {member.id for member in self.draft.below(branch.id)}
+        cut_away = {member.id for member in self.draft.below(branch.id)}
         self._forget_bridges([member for member in self.draft.below(branch.id) if member.kind == "bridge"])
-        remaining = [b.points for b in self._tree.branches if b.id not in gone] + [branch.points[: last + 1]]
+        remaining = [b.points for b in self._tree.branches if b.id not in cut_away] + [branch.points[: last + 1]]
         voxels = cut_voxels(self.lumen.core, self._nodes_of(below), self._nodes_of(remaining))
         if last < 1:
             self.draft.remove(branch.id)
@@ -562,13 +562,13 @@ class EditSteps:
                 self.draft.change(parent_id, doubtful_mm=float(steps[doubts[1:] | doubts[:-1]].sum()))
         return parent_id
 
-    def _hang(self, parent_id: int, points: Points, kind: str, asked_kind: str) -> int:
+    def _hang(self, parent_id: int, points: Points, kind: str, requested_kind: str) -> int:
         """Add a branch at the end of another, or extend the other if both are the same airway.
 
         Return the ID of the branch.
         """
         parent, radius = self.draft[parent_id], self._radius(points)
-        goes_on = kind == "tracked" or (kind == "bridge" and asked_kind != "bridge")
+        goes_on = kind == "tracked" or (kind == "bridge" and requested_kind != "bridge")
         if not parent.children and parent.kind == kind and goes_on:
             self.draft.change(
                 parent_id,
@@ -610,11 +610,11 @@ class EditSteps:
         """Remove the bridges that the cut removes from the list of bridges."""
         if not cut or not self.bridges:
             return
-        gone = np.concatenate([branch.points for branch in cut])
+        cut_away = np.concatenate([branch.points for branch in cut])
         self.bridges = tuple(
             way
             for way in self.bridges
-            if np.sqrt(np.square(way[:, None] - gone[None]).sum(axis=2)).min() > BRIDGE_RADIUS_MM
+            if np.sqrt(np.square(way[:, None] - cut_away[None]).sum(axis=2)).min() > BRIDGE_RADIUS_MM
         )
 
     def _find_more(self, candidates: Voxels, kind: str) -> None:

@@ -88,13 +88,13 @@ class ArtefactRegions:
         is kept.
         """
         ct = self.grid.ct
-        gone = np.zeros(ct.shape_zyx, np.bool_) if self.streaks_zyx is None else self.streaks_zyx.copy()
+        excluded = np.zeros(ct.shape_zyx, np.bool_) if self.streaks_zyx is None else self.streaks_zyx.copy()
         for k in self.steps:
             is_air = np.all([_mean_of_9(ct.hu_zyx[n]) < scale.level(CERTAIN_AIR_HU) for n in (k, k + 1)], axis=0)
-            gone[k : k + 2][:, ~is_air] = True
+            excluded[k : k + 2][:, ~is_air] = True
         volume = self.grid.volume
         values = volume.hu_zyx.copy()
-        values[self._mask_in_grid(gone)] = scale.level(TISSUE_HU)
+        values[self._mask_in_grid(excluded)] = scale.level(TISSUE_HU)
         return dataclasses.replace(volume, hu_zyx=values)
 
     def has_leaked(self, tree: AirwayTree) -> bool:
@@ -127,18 +127,18 @@ class ArtefactRegions:
             beyond_mm[number] += (1.0 - share[number]) * length_mm[number]
             if number:
                 beyond_mm[rows[number]["parent"]] += beyond_mm[number]
-        gone: list[int] = []
+        excluded: list[int] = []
         for number in range(1, len(rows)):
             least_mm = max(MIN_BEYOND_MM, share[number] * length_mm[number])
             ends_there = share[number] >= SOME_IN_REGION and beyond_mm[number] < least_mm
-            if ends_there or rows[number]["parent"] in gone:
-                gone.append(number)
-        if not gone:
+            if ends_there or rows[number]["parent"] in excluded:
+                excluded.append(number)
+        if not excluded:
             return 0.0
         branch = core.branch_of_nodes([row["nodes"] for row in rows], [row["parent"] for row in rows])
-        voxels = np.flatnonzero(lumen)[np.isin(branch, gone)]
+        voxels = np.flatnonzero(lumen)[np.isin(branch, excluded)]
         lumen.reshape(-1)[voxels] = 0
-        return float(length_mm[gone].sum()) if len(voxels) else 0.0
+        return float(length_mm[excluded].sum()) if len(voxels) else 0.0
 
     def with_limited_confidence(self, tree: AirwayTree) -> AirwayTree:
         """Return the tree with limited confidence of the branches in metal streaks or beside a step."""

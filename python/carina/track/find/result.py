@@ -160,7 +160,7 @@ class Airways:
 
     @property
     def absent(self) -> tuple[Absence, ...]:
-        """Lobes and segments that were not found, with what the CT shows there (:func:`carina.track.find_absent`)."""
+        """Lobes and segments that were not found, with the CT's findings there (:func:`carina.track.find_absent`)."""
         return find_absent(self.tree, self.uncertain, self.tracker.grid.ct)
 
     @property

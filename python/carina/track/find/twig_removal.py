@@ -100,16 +100,16 @@ def _without_leaf(rows: Sequence[dict[str, Any]], twig: int) -> list[dict[str, A
         # Parents come before their children.
         if row["parent"] in below:
             below.add(number)
-    gone = {twig, merged}
+    removed = {twig, merged}
     place: dict[int | None, int | None] = {None: None}
     for number in range(len(rows)):
-        if number not in gone:
+        if number not in removed:
             place[number] = len(place) - 1
     if merged is not None:
         place[merged] = place[above]
     found = []
     for number, row in enumerate(rows):
-        if number in gone:
+        if number in removed:
             continue
         changed = {**row, "parent": None if row["parent"] is None else place[row["parent"]]}
         if merged is not None and number == above:

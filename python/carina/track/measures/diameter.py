@@ -293,7 +293,7 @@ def _with_true_spread(
     num = float(np.median(near[np.ix_(own, own)].sum(axis=1)))
     if num < 2.0:
         return median_mm
-    # A section that is itself the median deviates by 0, which is no measure of noise.
+    # A section that is itself the median deviates by 0 and does not measure the noise.
     deviation = 1.4826 * float(np.median(np.abs(rest[rest != 0.0])))
     variance = np.square(deviation) * num / (num - 1.0)
     scale = float(np.sqrt(np.sum(np.square(rest[:-1])) * np.sum(np.square(rest[1:]))))

@@ -162,7 +162,7 @@ class Absence:
 def find_absent(
     tree: AirwayTree, uncertain: Sequence[Uncertainty] = (), volume: Volume | None = None
 ) -> tuple[Absence, ...]:
-    """List the lobes and segments that are missing from a tree, with what the CT shows in their place.
+    """List the lobes and segments that are missing from a tree, with the findings of the CT in their place.
 
     A disease is named only where the CT proves it; see :class:`Absence`. A lobe of which nothing was found is listed
     once, without its segments. In a mirrored chest the three-lobed lung is the left one.

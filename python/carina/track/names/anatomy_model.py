@@ -322,11 +322,11 @@ def _add_lobe(build: _Builder, lobe: str, segments: dict[str, Segment]) -> None:
     if lobe in {"RLL", "RUL"}:
         # A lobe without RB6, which then arises above it, or without RB1, which then arises from the trachea or main
         # bronchus.
-        gone = "RB6" if lobe == "RLL" else "RB1"
-        rest = tuple(key for key in keys if key != gone)
+        resected = "RB6" if lobe == "RLL" else "RB1"
+        rest = tuple(key for key in keys if key != resected)
         name = "Right basal trunk" if lobe == "RLL" else "RUL"
-        build.add(f"{lobe}-{gone}", name=name, kind="lobe", keys=frozenset(rest), lobe=lobe, trunk=_TRUNKS[lobe])
-        build.stands_for(f"{lobe}-{gone}", [(_exact(p), odds(p, rest)) for p in sets if gone not in p])
+        build.add(f"{lobe}-{resected}", name=name, kind="lobe", keys=frozenset(rest), lobe=lobe, trunk=_TRUNKS[lobe])
+        build.stands_for(f"{lobe}-{resected}", [(_exact(p), odds(p, rest)) for p in sets if resected not in p])
 
 
 @functools.cache

@@ -102,7 +102,7 @@ class Solution:
 
 
 class _Tables:
-    """Inside sums of one fork, for each subset of the bronchi that leave it (as bit masks)."""
+    """Sums over the readings below one fork, for each subset of its bronchi (as a bit mask)."""
 
     def __init__(self, parts: Sequence[_ForkSide], sums: Sequence[Array], model: _Model) -> None:
         self.model = model

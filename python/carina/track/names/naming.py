@@ -160,7 +160,7 @@ def _named_all(tree: AirwayTree, letter_rule: LetterRule, *, human_mirrored: boo
     given = {bare_name(b.name) for b in tree.branches if b.name_from == "person" and b.name is not None}
     lasting = tuple(note for note in tree.notes if note.code not in (MISFIT, MIRRORED))
     if read.is_misfit and read.mirrored is not human_mirrored:
-        names, notes = _kept_of_misfit(names), {}
+        names, notes = _names_of_misfit(names), {}
         lasting = (*lasting, misfit_note())
     elif read.mirrored:
         lasting = (*lasting, Note(MIRRORED, f"the airways are {notes[0]}", badge=True))
@@ -184,7 +184,7 @@ def _named_all(tree: AirwayTree, letter_rule: LetterRule, *, human_mirrored: boo
     return dataclasses.replace(tree, branches=tuple(made), notes=lasting)
 
 
-def _kept_of_misfit(names: dict[int, tuple[str | None, float]]) -> dict[int, tuple[str | None, float]]:
+def _names_of_misfit(names: dict[int, tuple[str | None, float]]) -> dict[int, tuple[str | None, float]]:
     """Remove the names of segments and limit the confidence of the others, for a tree unlike a human one."""
     return {
         number: (name, min(sure, SURE_ENOUGH))
@@ -469,7 +469,7 @@ def _names_of(read: _Named, rule: LetterRule) -> tuple[dict[int, tuple[str | Non
     _name_stubs(read, words, sure, names)
     notes = _variants(read, words, sure, carried)
     if read.mirrored:
-        notes = {number: _told_note(note) for number, note in notes.items()}
+        notes = {number: _swapped_note(note) for number, note in notes.items()}
         notes[0] = (
             f"{MIRRORED_CHEST}: the three-lobed lung is on the patient's left. Check whether this is situs inversus, "
             "or left and right are swapped in the volume or in the segmentation"
@@ -558,7 +558,7 @@ def _on_patient_side(word: str, *, mirrored: bool) -> str:
     return word[0].translate(_SWAP) + word[1:]
 
 
-def _told_note(note: str) -> str:
+def _swapped_note(note: str) -> str:
     return note.replace("RB", "_B").replace("LB", "RB").replace("_B", "LB")
 
 

@@ -19,7 +19,7 @@ from carina.track.names.tree_fit import MISFIT
 from carina.track.tree.airway_tree import AirwayTree, Branch
 
 MAX_ADDED = 2
-"""Largest number of new branches with which the former names are kept.
+"""Largest number of new branches with which the former names stay.
 
 One added branch makes two: the branch, and the lower part of its divided parent. An edit that adds more, such as a
 bridge, adds airways that were unknown when the former names were chosen.
@@ -56,11 +56,11 @@ def renamed_branches(before: AirwayTree, after: AirwayTree) -> tuple[RenamedBran
     A branch that a new fork divides is not listed if its lower part, a new branch, keeps the name.
     """
     former = {branch.id: branch.name for branch in before.branches}
-    kept_below = {(branch.parent, branch.name) for branch in after.branches if branch.id not in former}
+    names_of_new = {(branch.parent, branch.name) for branch in after.branches if branch.id not in former}
     renamed = []
     for branch in after.branches:
         name = former.get(branch.id)
-        if name is not None and name != branch.name and (branch.id, name) not in kept_below:
+        if name is not None and name != branch.name and (branch.id, name) not in names_of_new:
             renamed.append(RenamedBranch(branch.id, name, branch.name))
     return tuple(renamed)
 
@@ -80,8 +80,8 @@ def name_edited_tree(before: AirwayTree, tree: AirwayTree) -> AirwayTree:
     AirwayTree
         ``tree`` with names. All names are determined again, as by :func:`carina.track.name_tree`, if the edit adds more
         than two branches or changes a name that the user gave, or if the probability of those former names that would
-        change is below 0.05. Otherwise the former names are kept and constrain the names of the new branches. A former
-        name that would only be lost is kept with a confidence of at most 0.5. A branch without a name gets one if its
+        change is below 0.05. Otherwise the former names stay and constrain the names of the new branches. A former
+        name that would only be lost stays with a confidence of at most 0.5. A branch without a name gets one if its
         confidence is at least 0.8.
 
         An edit that adds and removes at most two branches does not make a human tree one that is unlike a human tree.
@@ -92,12 +92,12 @@ def name_edited_tree(before: AirwayTree, tree: AirwayTree) -> AirwayTree:
         return _named_by_change(before, tree)
     if sum(branch.id not in former for branch in tree.branches) > MAX_ADDED:
         return name_tree(tree)
-    anew = _named_like(before, tree)
-    if _badges(anew) != _badges(before) or _by_user(tree) != _by_user(before):
-        return anew
-    changed = {branch.id for branch in anew.branches if _is_renamed(former.get(branch.id), branch)}
+    renamed_tree = _named_like(before, tree)
+    if _badges(renamed_tree) != _badges(before) or _by_user(tree) != _by_user(before):
+        return renamed_tree
+    changed = {branch.id for branch in renamed_tree.branches if _is_renamed(former.get(branch.id), branch)}
     if not changed:
-        return _with_former(anew, former)
+        return _with_former(renamed_tree, former)
     held = dataclasses.replace(
         tree,
         branches=tuple(
@@ -108,7 +108,7 @@ def name_edited_tree(before: AirwayTree, tree: AirwayTree) -> AirwayTree:
         ),
     )
     if log_evidence_of(held) - log_evidence_of(tree) < MIN_LOG_PROBABILITY:
-        return _with_former(anew, former)
+        return _with_former(renamed_tree, former)
     named = _named_like(before, held)
     released = tuple(
         dataclasses.replace(branch, name_from="anatomy", name_confidence=former[branch.id].name_confidence)
@@ -122,7 +122,7 @@ def name_edited_tree(before: AirwayTree, tree: AirwayTree) -> AirwayTree:
 def extends_tips_only(before: AirwayTree, after: AirwayTree) -> bool:
     """Return whether an edit extended tips at their ends and added, removed and renamed no branch.
 
-    A moved fork can make a tip longer at its start, which is no new airway.
+    A moved fork can make a tip longer at its start, which is not a new airway.
     """
     former = {branch.id: branch for branch in before.branches}
     if len(after.branches) != len(former) or _by_user(before) != _by_user(after):
@@ -151,11 +151,11 @@ def _named_by_change(before: AirwayTree, tree: AirwayTree) -> AirwayTree:
     """
     former = {branch.id: branch for branch in before.branches}
     without_edit = {branch.id: branch for branch in _named_like(before, before).branches}
-    anew = _named_like(before, tree)
-    if _badges(anew) != _badges(before):
-        return anew
+    renamed_tree = _named_like(before, tree)
+    if _badges(renamed_tree) != _badges(before):
+        return renamed_tree
     made = []
-    for branch in anew.branches:
+    for branch in renamed_tree.branches:
         was = former[branch.id]
         if was.name_from == "person" or branch.name != without_edit[branch.id].name or was.name == branch.name:
             made.append(branch)
@@ -163,7 +163,7 @@ def _named_by_change(before: AirwayTree, tree: AirwayTree) -> AirwayTree:
             made.append(
                 dataclasses.replace(branch, name=was.name, name_confidence=was.name_confidence, name_from=was.name_from)
             )
-    return _with_lost(dataclasses.replace(anew, branches=tuple(made)), former, least=SURE_OF_NEW)
+    return _with_lost(dataclasses.replace(renamed_tree, branches=tuple(made)), former, least=SURE_OF_NEW)
 
 
 def _named_like(before: AirwayTree, tree: AirwayTree) -> AirwayTree:

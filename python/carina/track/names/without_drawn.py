@@ -46,7 +46,7 @@ def seen_part(tree: AirwayTree) -> tuple[AirwayTree, dict[int, int]]:
 def carried_names(tree: AirwayTree, named: AirwayTree, place_of: dict[int, int]) -> AirwayTree:
     """Return a tree with the names of its reduced tree: joined pieces share a name, drawn branches have none.
 
-    Names given by the user are kept.
+    Names given by the user stay.
 
     Parameters
     ----------

@@ -146,7 +146,7 @@ def wide_lumen(lumen: Mask) -> Mask:
 
 
 def _shortest_chain(airways: Airways, points: Points, excursions: list[Excursion]) -> tuple[Points, Mask | None]:
-    """Return the shortest chain of points of a path and of the ways beside its excursions, and where it may leave.
+    """Return the shortest chain of points of a path and its detours round excursions, and its points in excursions.
 
     The chain may pass between two points in the lumen if one is in the ball of lumen around the other. It does not use
     excursions beside wide lumen. The second value is True (n,) for points of the remaining excursions; it is None if

@@ -71,7 +71,7 @@ def tree_of_paths(paths: Sequence[Points], airways: Airways) -> tuple[tuple[Bran
 
 
 def _shared(path: Points, others: Points, airways: Airways) -> tuple[int, int]:
-    """Return how many first points of a path are together with other points, and the nearest of these to the last."""
+    """Return the number of first points that a path shares with others, and the other point nearest to the last."""
     squares = (path**2).sum(axis=1)[:, None] + (others**2).sum(axis=1)[None] - 2.0 * path @ others.T
     nearest = squares.argmin(axis=1)
     distance = np.linalg.norm(path - others[nearest], axis=1)

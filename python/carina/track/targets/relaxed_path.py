@@ -222,7 +222,7 @@ def _spread_along(points: Points, marks: Mask, count: int) -> Mask:
 def wall_crossings(points: Points, airways: Airways) -> tuple[WallCrossing, ...]:
     """Return the places where a path leaves a lumen or returns into it, in order.
 
-    A part outside the lumen that is shorter than half a voxel is no crossing.
+    A part outside the lumen that is shorter than half a voxel is not a crossing.
     """
     spacing = np.linalg.norm(airways.tracker.grid.lps_from_ijk[:3, :3], axis=0)
     step_mm = 0.25 * float(spacing.min())

@@ -238,7 +238,7 @@ def with_confidence(
     judged: NDArray[np.float64] | None = None,
     rims_hu: float | None = None,
 ) -> AirwayTree:
-    """Set the confidence of each branch from what the CT shows across it.
+    """Set the confidence of each branch from the values of the CT across it.
 
     The score of a section is the product of three values, each from 0 to 1: the share of sides with a wall; the rise
     of the wall above the lumen relative to the noise of a wall (``1 - exp(-rise / 3 wall_noise)``); and a factor for

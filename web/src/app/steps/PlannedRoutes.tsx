@@ -12,10 +12,10 @@ import { othersText, ROUTE_ROWS, turnBefore, turnText, verdictsInOrder } from ".
 import type { PlansMessage, RecentCase, ScopeVerdict, Target, TargetPlan } from "../../wire/messages";
 import { useApp, useStation } from "../context";
 import { Act } from "../controls";
+import type { PlanSuffix } from "../file-transfers";
 import { Icon } from "../icons";
 import { PanelAnswer, useIsAnswered } from "../PlanAnswer";
 import { Pickers } from "../StartPage";
-import type { PlanSuffix } from "../workstation";
 import { CArmAngles } from "./CArmAngles";
 import { OUTCOME_MARKS } from "./outcome-marks";
 import { ReasonsAgainst } from "./ReasonsAgainst";
@@ -216,7 +216,7 @@ function SecondCt({ target, plan }: { target: Target; plan: TargetPlan }) {
     <details className="plan-options" data-testid="second-ct-options">
       <summary>Measure the movement from a second CT</summary>
       <p className="quiet">Choose a second CT of this patient: in expiration, or an earlier one.</p>
-      <Pickers onFiles={(files) => void station.upload(files, "movement", { targetId: target.target_id })} />
+      <Pickers onFiles={(files) => void station.transfers.upload(files, "movement", { targetId: target.target_id })} />
       {recent.length === 0 ? null : (
         <label>
           or a recent case
@@ -446,7 +446,7 @@ function PrintButton({ target }: { target: Target }) {
       label="Print the plan"
       words="Make the report, and open it in a new tab to be printed"
       testId="print-plan"
-      onPress={() => station.printPlan(target.target_id, "report")}
+      onPress={() => station.transfers.printPlan(target.target_id, "report")}
     />
   );
 }
@@ -462,7 +462,7 @@ function Exports({ target }: { target: Target }) {
           kind="quiet"
           label="Tracing sheet"
           words="One page for the theatre: every turn with its clock hour"
-          onPress={() => station.printPlan(target.target_id, "tracing")}
+          onPress={() => station.transfers.printPlan(target.target_id, "tracing")}
         />
         {PLAN_FILES.map(([suffix, label, words]) => (
           <Act
@@ -472,7 +472,7 @@ function Exports({ target }: { target: Target }) {
             words={words}
             disabled={making !== null}
             testId={`take-plan${suffix}`}
-            onPress={() => void station.takePlan(target.target_id, suffix)}
+            onPress={() => void station.transfers.takePlan(target.target_id, suffix)}
           />
         ))}
       </div>
@@ -514,7 +514,7 @@ function Archive({ target }: { target: Target }) {
                 words={words}
                 disabled={making !== null}
                 testId={`take-plan${suffix}`}
-                onPress={() => void station.takePlan(target.target_id, suffix, named)}
+                onPress={() => void station.transfers.takePlan(target.target_id, suffix, named)}
               />
             ))}
           </div>

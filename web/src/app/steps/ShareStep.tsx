@@ -26,7 +26,7 @@ export function ShareStep() {
                 words={words}
                 disabled={!found || making !== null}
                 testId={`take${suffix}`}
-                onPress={() => void station.takeAirways(suffix)}
+                onPress={() => void station.transfers.takeAirways(suffix)}
               />
             ))}
           </div>

@@ -15,11 +15,11 @@ export function TargetDoubts({ target, plan }: { target: Target; plan: TargetPla
   const station = useStation();
   const title = useId();
   const question = useRef<HTMLDivElement>(null);
-  const asks = plan.unconfirmed.length > 0;
+  const isUnconfirmed = plan.unconfirmed.length > 0;
   // The column may end above the card, and the user would wait for routes without seeing the question.
   useEffect(() => {
-    if (asks) question.current?.scrollIntoView({ block: "nearest" });
-  }, [asks]);
+    if (isUnconfirmed) question.current?.scrollIntoView({ block: "nearest" });
+  }, [isUnconfirmed]);
   if (plan.doubts.length === 0) return null;
   const open = plan.unconfirmed;
   const reasons = plan.doubts.map(([code, words]) => (

@@ -234,7 +234,7 @@ function FromFile() {
         allowsMultiple
         onSelect={(list) => {
           if (list !== null && list.length > 0)
-            void station.upload(filesOfPicker(list), "target", {
+            void station.transfers.upload(filesOfPicker(list), "target", {
               structure: structure.trim() === "" ? null : structure.trim(),
             });
         }}

@@ -189,7 +189,7 @@ function RunningAttempt({ attempt }: { attempt: Attempt }) {
   );
 }
 
-/** Interval at which the clock of an attempt is shown anew, ms. */
+/** Interval at which the clock of an attempt is updated, ms. */
 const CLOCK_MS = 200;
 
 function AttemptClock({ attempt }: { attempt: Attempt }) {

@@ -228,16 +228,16 @@ class FakeHid extends EventTarget implements Hid {
 
 describe("HidPort", () => {
   let hid: FakeHid;
-  let gone: string[];
+  let disconnected: string[];
   let failed: string[];
   let port: HidPort;
   const settled = () => new Promise((done) => setTimeout(done, 0));
 
   beforeEach(() => {
     hid = new FakeHid();
-    [gone, failed] = [[], []];
+    [disconnected, failed] = [[], []];
     port = new HidPort(hid, HANDLE_FILTERS, made, {
-      gone: (name) => gone.push(name),
+      disconnected: (name) => disconnected.push(name),
       failed: (words) => failed.push(words),
     });
   });
@@ -262,7 +262,7 @@ describe("HidPort", () => {
     for (const back of [device, new FakeDevice(SKETCH)]) {
       hid.event("disconnect", device);
       await settled();
-      expect([port.name, gone.length > 0]).toEqual([null, true]);
+      expect([port.name, disconnected.length > 0]).toEqual([null, true]);
       for (const other of [new FakeDevice(SKETCH, 1), new FakeDevice(SKETCH, 0x2341, 1)]) {
         hid.event("connect", other);
         await settled();
@@ -276,7 +276,7 @@ describe("HidPort", () => {
       port.tick();
       expect(samples().length).toBe(1);
     }
-    expect(gone).toEqual(["scope handle Test handle", "scope handle Test handle"]);
+    expect(disconnected).toEqual(["scope handle Test handle", "scope handle Test handle"]);
   });
 
   it("A second device that is plugged in does not replace the open device, but a selected one does.", async () => {
@@ -285,10 +285,10 @@ describe("HidPort", () => {
     const another = new FakeDevice(SKETCH);
     hid.event("connect", another);
     await settled();
-    expect([device.opened, another.opened, gone]).toEqual([true, false, []]);
+    expect([device.opened, another.opened, disconnected]).toEqual([true, false, []]);
     hid.offers = [another];
     await port.selectDevice();
-    expect([device.opened, another.opened, gone]).toEqual([false, true, ["scope handle Test handle"]]);
+    expect([device.opened, another.opened, disconnected]).toEqual([false, true, ["scope handle Test handle"]]);
     device.report(1, 100, 0, 0, 0);
     port.tick();
     expect(samples()).toEqual([]);
@@ -351,7 +351,7 @@ describe("HidPort", () => {
     hid.offers = [device];
     await port.selectDevice();
     await port.stop();
-    expect([device.opened, gone.length]).toEqual([false, 1]);
+    expect([device.opened, disconnected.length]).toEqual([false, 1]);
     hid.event("connect", device);
     await settled();
     expect(port.name).toBeNull();

@@ -40,7 +40,7 @@ export interface HidReader {
 
 /** Callbacks of a {@link HidPort}. */
 export interface HidPortHooks {
-  gone(name: string): void;
+  disconnected(name: string): void;
   failed(words: string): void;
 }
 
@@ -126,7 +126,7 @@ export class HidPort {
     const reader = this.#reader;
     this.#reader = null;
     if (reader === null) return;
-    this.#hooks.gone(reader.name);
+    this.#hooks.disconnected(reader.name);
     await reader.close().catch(() => undefined);
   }
 

@@ -156,7 +156,7 @@ beforeEach(() => {
 const samples = () => sent.filter((message): message is DeviceSampleMessage => message.type === "device_sample");
 
 describe("headsetOffer", () => {
-  it("It returns no-webxr, no-headset or ready depending on the browser and the computer.", async () => {
+  it("returns no-webxr, no-headset or ready depending on the browser and the computer", async () => {
     expect(await headsetOffer(null)).toBe("no-webxr");
     expect(await headsetOffer(xr)).toBe("ready");
     xr.supports = false;
@@ -306,7 +306,7 @@ describe("controller of a headset", () => {
 });
 
 describe("Headset", () => {
-  it("It reports the end of a session by the system, and can be entered again.", async () => {
+  it("reports the end of a session by the system, and can be entered again", async () => {
     await headset.enter();
     xr.session.refresh(0);
     await xr.session.end();
@@ -319,7 +319,7 @@ describe("Headset", () => {
     expect(changes).toEqual([true, false, true, false]);
   });
 
-  it("It reports why it cannot be entered, and ends a session whose screen cannot be opened.", async () => {
+  it("reports why it cannot be entered, and ends a session whose screen cannot be opened", async () => {
     xr.refuses = new Error("the headset is in use");
     await headset.enter();
     expect(failures).toEqual(["The headset view could not be started: the headset is in use."]);
@@ -329,7 +329,7 @@ describe("Headset", () => {
     expect([headset.inside, xr.session.ended, changes]).toEqual([false, true, []]);
   });
 
-  it("It can be entered again after the session ended while its screen was being opened.", async () => {
+  it("can be entered again after the session ended while its screen was being opened", async () => {
     whileOpening = () => void xr.session.end();
     await headset.enter();
     expect([headset.inside, closed, changes]).toEqual([false, 1, []]);
@@ -342,7 +342,7 @@ describe("Headset", () => {
     expect([headset.inside, drawn, changes]).toEqual([true, 1, [true]]);
   });
 
-  it("It can be entered again after the session refused the first frame request.", async () => {
+  it("can be entered again after the session refused the first frame request", async () => {
     xr.session.requestAnimationFrame = () => {
       throw new DOMException("the session has ended", "InvalidStateError");
     };

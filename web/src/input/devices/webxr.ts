@@ -171,7 +171,7 @@ export class Headset {
         isOver = true;
         this.#ended(begun);
       });
-      session.addEventListener("inputsourceschange", () => this.#forgetThoseGone(begun));
+      session.addEventListener("inputsourceschange", () => this.#removeDisconnected(begun));
       this.#space = await session.requestReferenceSpace("local");
       await this.#hooks.screen.open(session);
       if (isOver) throw new Error("the headset was taken off meanwhile");
@@ -265,7 +265,7 @@ export class Headset {
     return made;
   }
 
-  #forgetThoseGone(session: XrSession): void {
+  #removeDisconnected(session: XrSession): void {
     const there = new Set(session.inputSources);
     for (const source of [...this.#controllers.keys()]) if (!there.has(source)) this.#forget(source);
   }
