@@ -33,6 +33,7 @@ PRINTED_BY: dict[str, tuple[str, ...]] = {
     "cli/arguments.py": ("fly", "render"),
     "cli/case.py": ("case forget",),
     "cli/cluster.py": ("open", "fly"),
+    "cli/deidentify.py": ("deidentify",),
     "cli/devices.py": ("devices",),
     "cli/fly.py": ("fly",),
     "cli/info.py": ("info",),

@@ -13,6 +13,7 @@ import carina
 from carina.cli.app_airways import airways, export, plan, track
 from carina.cli.app_case import case
 from carina.cli.app_cluster import cluster
+from carina.cli.app_dicom import deidentify
 from carina.cli.app_training import score
 from carina.cli.arguments import check_needs, check_output_folder, check_window_path, parse_point, parse_size
 from carina.cli.console import (
@@ -273,7 +274,7 @@ def info(
         raise SystemExit(report(path, strict=strict, series=series, as_json=as_json, ct=ct))
 
 
-for verb in (airways, export, track, plan):
+for verb in (airways, export, track, plan, deidentify):
     app.command()(verb)
 
 
