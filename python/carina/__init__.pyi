@@ -7,6 +7,7 @@ from . import deidentification as deidentification
 from . import errors as errors
 from . import export as export
 from . import navigate as navigate
+from . import pacs as pacs
 from . import phantom as phantom
 from . import plan as plan
 from . import render as render

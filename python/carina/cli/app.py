@@ -14,6 +14,7 @@ from carina.cli.app_airways import airways, export, plan, track
 from carina.cli.app_case import case
 from carina.cli.app_cluster import cluster
 from carina.cli.app_dicom import deidentify
+from carina.cli.app_pacs import pacs
 from carina.cli.app_training import score
 from carina.cli.arguments import check_needs, check_output_folder, check_window_path, parse_point, parse_size
 from carina.cli.console import (
@@ -744,6 +745,7 @@ def devices(
 
 
 app.add_typer(case, name="case")
+app.add_typer(pacs, name="pacs")
 app.add_typer(cluster, name="cluster")
 
 
