@@ -22,7 +22,9 @@ if TYPE_CHECKING:
     from carina.volume.dicom import FoundSeries
     from carina.volume.dicom_files import FolderContent
 
-_KINDS = "a DICOM folder, NIfTI (.nii, .nii.gz), NRRD (.nrrd), MetaImage (.mha, .mhd) or an archive (.zip, .tar.gz)"
+_KINDS = (
+    "a DICOM folder, NIfTI (.nii, .nii.gz), NRRD (.nrrd), MetaImage (.mha, .mhd) or an archive (.zip, .tar.gz, .7z)"
+)
 _GRID_SUFFIXES = (".nii", ".nii.gz", ".nrrd", ".nhdr", ".mha", ".mhd")
 
 
@@ -41,7 +43,7 @@ def open_volume(
     ----------
     path
         Folders are searched with all their subfolders; files need no extension. One DICOM file selects its series in
-        its folder; a DICOMDIR file selects its folder. A zip or tar archive is opened like a folder: its files are
+        its folder; a DICOMDIR file selects its folder. A zip, tar or 7z archive is opened like a folder: its files are
         unpacked into a private temporary folder, which is removed after reading.
     series
         Key of the DICOM series to open (``SeriesInfo.key``). None opens the largest chest CT, and ``source.notes`` list
