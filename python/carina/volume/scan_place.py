@@ -10,7 +10,7 @@ from pathlib import Path
 from carina.errors import CarinaError
 from carina.volume.archives import UnpackedArchive, archive_kind, unpacked_archive
 from carina.volume.dicom_signature import looks_like_dicom
-from carina.volume.grid_headers import sniff_format
+from carina.volume.grid_headers import GRID_FORMATS, sniff_format
 from carina.volume.message_limits import bounded_message
 from carina.volume.model import Note, SeriesInfo, Volume
 from carina.volume.progress import Watch
@@ -107,6 +107,6 @@ def _scan_in(folder: Path, watch: Watch) -> Path:
         if place.is_file():
             if looks_like_dicom(place):
                 return folder
-            if sniff_format(place) in ("nifti", "nrrd", "metaimage"):
+            if sniff_format(place) in GRID_FORMATS:
                 volumes.append(place)
     return volumes[0] if len(volumes) == 1 else folder
