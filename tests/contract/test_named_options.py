@@ -45,7 +45,7 @@ PRINTED_BY: dict[str, tuple[str, ...]] = {
     "cli/pacs.py": ("pacs search",),
     "cli/opened.py --ct": OF_CT,
     "cli/opened.py --keys": ("fly",),
-    "cli/opened.py --strict": ("airways", "export"),
+    "cli/opened.py --strict": ("open", "airways", "export", "track", "plan", "render", "isoregion", "fly", "score"),
     "cli/optics.py": ("render",),
     "cli/plan.py": ("plan",),
     "cli/render.py": ("render",),

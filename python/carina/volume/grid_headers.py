@@ -60,7 +60,7 @@ def _head(path: Path, num_bytes: int) -> tuple[bytes, bool]:
 def sniff_format(path: Path) -> str | None:
     """Return the format of a file from its first bytes, never from its name; None if the format is unknown.
 
-    The formats in ``GRID_FORMATS`` can be read, all but ``vti`` with or without gzip. Others are returned for the
+    The formats in ``GRID_FORMATS`` can be read, all but ``vti`` with or without gzip. Others are returned for
     messages: ``pdf``, ``zip``, ``bzip2``, ``xz``, ``zstd``, ``gzip twice``, ``gzip dicom`` and ``gzip tar`` (an
     archive).
     """
