@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from carina.display.printable import printable
 from carina.errors import VolumeImportError
+from carina.volume.bids_sidecar import stated_thickness_mm
 from carina.volume.grid_headers import GridHeader, read_grid_header
 from carina.volume.grid_second_reader import read_geometry
 from carina.volume.grid_voxels import read_voxels
@@ -126,5 +127,10 @@ def open_grid_file(path: Path, format: str, *, watch: Watch) -> Volume:  # noqa:
         header.lps_from_ijk,
         is_hu=reason is None,
         not_hu_reason=reason,
-        source=VolumeSource(format=format, title=printable(path.name), notes=notes + converted.notes + padding),
+        source=VolumeSource(
+            format=format,
+            title=printable(path.name),
+            notes=notes + converted.notes + padding,
+            slice_thickness_mm=stated_thickness_mm(path),
+        ),
     )
