@@ -62,7 +62,7 @@ def _twelve_bits(dataset: Dataset, index: int) -> None:
 
 def _latin(dataset: Dataset, _index: int) -> None:
     dataset.SpecificCharacterSet = ["", "ISO 2022 IR 100"]
-    dataset.ImageComments = "ein Kommentar"
+    dataset.ImageComments = "a comment"
     dataset.PatientName = "Müller^Jörg"
 
 
