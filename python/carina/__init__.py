@@ -12,14 +12,12 @@ Example::
 
 Every object below is loaded on first use. ``help(carina.NAME)`` documents one of them, ``help("carina.PART")`` a part.
 
-Scans (``carina.volume``, ``carina.phantom``)
-    open_volume         Open a CT: a DICOM folder, NIfTI, NRRD or MetaImage
+Scans (``carina.volume``, ``carina.phantom``, ``carina.deidentification``, ``carina.pacs``)
+    open_volume         Open a CT as a Volume: a DICOM folder, NIfTI, NRRD or MetaImage; demo_patient opens Carina's own
     open_mask           Open a segmentation
     inspect_path        List the series in a path without opening them
-    demo_patient        Open the CT that comes with Carina
-    generate_phantom    Generate a chest CT with known airways; write_phantom writes one to a folder
-    generate_mr_phantom Generate an MR picture of such a chest
-    Volume              A CT in HU with its geometry
+    deidentify          Write DICOM images without identity (``carina.pacs`` retrieves images from a PACS)
+    generate_phantom    Generate a chest CT with known airways; generate_mr_phantom an MR picture; write_phantom
 
 Airways (``carina.track``)
     find_airways        Find the lumen, the tree and the names of its branches
@@ -50,7 +48,7 @@ Files (``carina.export``)
 Cases (``carina.session``, ``carina.commands``, ``carina.case``)
     Case, show          An open case with undo, history and pictures; linked views of it in a notebook
 
-Rendering on several machines: see ``help("carina.cluster")``
+Rendering on several machines: ``help("carina.cluster")``
 
 Errors (``carina.errors``)
     CarinaError         Base of all errors; each has a stable code

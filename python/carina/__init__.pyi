@@ -3,10 +3,12 @@
 from . import case as case
 from . import cluster as cluster
 from . import commands as commands
+from . import deidentification as deidentification
 from . import errors as errors
 from . import export as export
 from . import navigate as navigate
 from . import notebook as notebook
+from . import pacs as pacs
 from . import phantom as phantom
 from . import plan as plan
 from . import render as render
@@ -15,6 +17,9 @@ from . import session as session
 from . import track as track
 from . import training as training
 from . import volume as volume
+from .deidentification import (
+    deidentify as deidentify,
+)
 from .errors import (
     CarinaError as CarinaError,
     NoResultError as NoResultError,

@@ -23,6 +23,7 @@ __all__ = [
     "GeometryError",
     "NoEvidenceError",
     "NoResultError",
+    "PacsError",
     "ProtocolError",
     "RenderError",
     "TrackingError",
@@ -189,6 +190,13 @@ class ClusterError(CarinaError):
     """Machine that the cluster rejected or lost."""
 
     code = "cluster"
+    exit_code = 1
+
+
+class PacsError(CarinaError):
+    """Request that a PACS refused, or that did not reach it; the message states one remedy."""
+
+    code = "pacs"
     exit_code = 1
 
 

@@ -25,6 +25,8 @@ EXTRAS: Mapping[str, tuple[str, ...]] = MappingProxyType(
         "phone": ("cryptography>=44", "segno>=1.6"),
         "video": ("av>=14",),
         "report": ("reportlab>=4.2",),
+        "dicom": ("pynetdicom>=3.0.4", "dicomweb-client>=0.61"),
+        "sevenzip": ("libarchive-c>=5.3",),
         "cluster": ("ray>=2.60,<2.61",),
         "notebook": ("anywidget>=0.9",),
         "bench": ("vtk>=9.4", "numba>=0.61", "scipy>=1.14", "dijkstra3d>=1.15", "scikit-image>=0.24"),

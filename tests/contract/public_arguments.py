@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from dicom_writer import chest, series
 
 import carina
 from cached_test_data import cached_phantom, found_airways
@@ -134,6 +135,10 @@ class Things:
         return carina.write_phantom(self.phantom, self.folder / "phantom")[0]
 
     @cached_property
+    def dicom_folder(self) -> Path:
+        return series(self.folder / "dicom", hu=chest()[:3])
+
+    @cached_property
     def tree_file(self) -> Path:
         return carina.write_tree(self.folder / "tree.json", self.tree)
 
@@ -247,6 +252,7 @@ def _branch_fields(t: Things) -> dict[str, Any]:
 
 GOOD: dict[str, Good] = {
     # Functions
+    "deidentify": Good(lambda t: {"source": t.dicom_folder, "folder": t.new_path("")}),
     "demo_patient": Good(lambda _: {}),
     "edit_airways": Good(
         lambda t: {"volume": t.volume, "airways": t.airways, "edit": RenameBranch(branch_id=t.tip.id, name="own")}

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import base64
 import io
 import struct
+import sys
 import tarfile
 import tempfile
 import zipfile
@@ -58,7 +60,16 @@ def tarred(path: Path, files: dict[str, bytes], mode: str = "w") -> Path:
     return path
 
 
+def seven_zipped(path: Path, files: dict[str, bytes]) -> Path:
+    libarchive = pytest.importorskip("libarchive", reason="needs the extra sevenzip")
+    with libarchive.file_writer(str(path), "7zip") as archive:
+        for name, content in files.items():
+            archive.add_file_from_memory(name, len(content), [content])
+    return path
+
+
 PACKERS: dict[str, Pack] = {
+    "7z": seven_zipped,
     "zip": zipped,
     "tar": tarred,
     "tar.gz": lambda path, files: tarred(path, files, "w:gz"),
@@ -166,7 +177,7 @@ def test_bomb_is_refused_before_it_fills_the_disk(tmp_path, scan, monkeypatch, k
 
 def test_too_many_members_are_refused(tmp_path, scan, monkeypatch):
     monkeypatch.setattr(archives, "MAX_FILES", 15)
-    for pack, name in ((zipped, "a.zip"), (tarred, "a.tar")):
+    for pack, name in ((zipped, "a.zip"), (tarred, "a.tar"), (seven_zipped, "a.7z")):
         assert refusal(pack(tmp_path / name, scan)).code == "import.archive.too-large"
 
 
@@ -229,13 +240,53 @@ def test_changed_byte_of_a_zip_archive_is_refused(tmp_path, scan):
     assert refusal(path).code == "import.archive.damaged"
 
 
-@pytest.mark.parametrize("start", [b"7z\xbc\xaf\x27\x1c", b"Rar!\x1a\x07\x00"])
-def test_unsupported_archive_is_refused_with_its_remedy(tmp_path, start):
+def test_unsupported_archive_is_refused_with_its_remedy(tmp_path):
     path = tmp_path / "scan.bin"
-    path.write_bytes(start + bytes(100))
+    path.write_bytes(b"Rar!\x1a\x07\x00" + bytes(100))
     error = refusal(path)
     assert error.code == "import.archive.not-supported"
     assert "unpack it and open the folder" in str(error)
+
+
+ENCRYPTED_CONTENT = (
+    "N3q8ryccAARFmI7BeQAAAAAAAAAUAAAAAAAAAIHWvcobzDkm1mSEeKNOfjaZLw+kAQBkAQQGAAEJEAoBmfUJ+gAHCwEAAiQG8QcBElMPLrNe"
+    "U+Ed8TkTTLOxWzJUgSEhARgBAAwIBAAICgHHp4s7AAAFARENAGEALgB0AHgAdAAAABQKAQDAnkk/yIDdARUGAQAggICBAAAAFwYQAQlpAAcL"
+    "AQABISEBGAxlAAA="
+)
+ENCRYPTED_NAMES = (
+    "N3q8ryccAASgewR+gAAAAAAAAAAoAAAAAAAAAHP3sHmNTAKpcwHpHm+4jNQJK+EYXFyCyzEekeF+QUSp1SZvH59h3pAyO8vYqvjTHKJaXxbV"
+    "I5LlrTrK0jWO7ig226tjcpYO2GfMraqdtqaVvqFTlCTxXG7EiDec/C3+Xq6hUMx/Jn1sIEm82uHs+T0AKT7tW/yOG2QsQx/550vwgz9bbxcG"
+    "EAEJcAAHCwEAASQG8QcBElMPuWxHFbxL1GVyTw36QinMngxlAAA="
+)
+
+
+@pytest.mark.parametrize("data", [ENCRYPTED_CONTENT, ENCRYPTED_NAMES], ids=["content", "names"])
+def test_encrypted_7z_archive_is_refused_with_its_remedy(tmp_path, data):
+    pytest.importorskip("libarchive", reason="needs the extra sevenzip")
+    path = tmp_path / "scan.7z"
+    path.write_bytes(base64.b64decode(data))
+    error = refusal(path)
+    assert error.code == "import.archive.encrypted"
+    assert "unpack it with its password" in str(error)
+
+
+def test_7z_archive_without_the_library_names_the_command(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "libarchive", None)
+    path = tmp_path / "scan.7z"
+    path.write_bytes(b"7z\xbc\xaf\x27\x1c" + bytes(100))
+    error = refusal(path)
+    assert error.code == "import.archive.not-supported"
+    assert "libarchive-c" in str(error)
+    assert "install" in str(error)
+
+
+@pytest.mark.parametrize("at", [30, 32, 0.5, -20])
+def test_changed_byte_of_a_7z_archive_is_refused(tmp_path, scan, at):
+    path = seven_zipped(tmp_path / "scan.7z", scan)
+    data = bytearray(path.read_bytes())
+    data[int(at * len(data)) if isinstance(at, float) else at] ^= 0x10
+    path.write_bytes(data)
+    assert refusal(path).code in ("import.archive.damaged", "import.archive.not-supported")
 
 
 def test_archive_without_images_is_refused_by_its_name(tmp_path):

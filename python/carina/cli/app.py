@@ -13,6 +13,8 @@ import carina
 from carina.cli.app_airways import airways, export, plan, track
 from carina.cli.app_case import case
 from carina.cli.app_cluster import cluster
+from carina.cli.app_dicom import deidentify
+from carina.cli.app_pacs import pacs
 from carina.cli.app_training import score
 from carina.cli.arguments import check_needs, check_output_folder, check_window_path, parse_point, parse_size
 from carina.cli.console import (
@@ -25,7 +27,7 @@ from carina.cli.console import (
     print_usage_error,
     progress_printer,
 )
-from carina.cli.options import CtOption, JsonOption, PathArgument, SeriesOption, TokenOption
+from carina.cli.options import CtOption, JsonOption, PathArgument, SeriesOption, StrictOption, TokenOption
 from carina.display.printable import printable
 from carina.display.progress import without_bars
 from carina.errors import UsageError
@@ -111,6 +113,7 @@ def _workstation(
     phone: bool = False,
     phone_address: str | None = None,
     ct: Path | None = None,
+    strict: bool = False,
 ) -> None:
     changes: dict[str, Any] = {}
 
@@ -151,6 +154,11 @@ def _workstation(
             if path is None:
                 raise UsageError("--ct only applies to a case file (NAME.carina)")
             check_case_options(path, ct)
+        if strict and path is not None:
+            from carina.cli.opened import open_input
+
+            # The window reads the scan again; a refused scan never appears in it.
+            open_input(path_or_case(path) or path, series=None, strict=True, progress=progress_printer(), ct=ct)
         with opened_cluster(cluster, token=token, mixed=mixed) as used:
             code = serve(
                 str(path) if path is not None and record is None else None,
@@ -202,6 +210,7 @@ def open_(
     phone: PhoneOption = False,
     phone_address: PhoneAddressOption = None,
     ct: CtOption = None,
+    strict: StrictOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """Open the workstation on a CT, or on a case file (NAME.carina).
@@ -221,6 +230,7 @@ def open_(
         phone=phone,
         phone_address=phone_address,
         ct=ct,
+        strict=strict,
     )
 
 
@@ -256,9 +266,7 @@ def demo(
 @app.command()
 def info(
     path: PathArgument,
-    strict: Annotated[
-        bool, typer.Option("--strict", help="Exit with code 3 if the check of the scan finds problems.")
-    ] = False,
+    strict: StrictOption = False,
     series: SeriesOption = None,
     ct: CtOption = None,
     as_json: JsonOption = False,
@@ -273,7 +281,7 @@ def info(
         raise SystemExit(report(path, strict=strict, series=series, as_json=as_json, ct=ct))
 
 
-for verb in (airways, export, track, plan):
+for verb in (airways, export, track, plan, deidentify):
     app.command()(verb)
 
 
@@ -422,6 +430,7 @@ def render(
         typer.Option(help="Names of the branches: on or off (default: on for views along a path)."),
     ] = None,
     series: SeriesOption = None,
+    strict: StrictOption = False,
     ct: CtOption = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -475,6 +484,7 @@ def render(
                 scale_bar=None if scale_bar is None else scale_bar == "on",
                 names=None if names is None else names == "on",
                 series=series,
+                strict=strict,
                 ct=ct,
                 as_json=as_json,
             )
@@ -522,6 +532,7 @@ def isoregion(
         ),
     ] = "auto",
     series: SeriesOption = None,
+    strict: StrictOption = False,
     ct: CtOption = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -547,6 +558,7 @@ def isoregion(
                 transfer=transfer,
                 equal_by=equal_by,
                 series=series,
+                strict=strict,
                 ct=ct,
                 as_json=as_json,
             )
@@ -676,6 +688,7 @@ def fly(
     mixed: MixedOption = False,
     token_file: TokenOption = None,
     series: SeriesOption = None,
+    strict: StrictOption = False,
     ct: CtOption = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -705,6 +718,7 @@ def fly(
                 scope=scope,
                 step_vox=step_vox,
                 series=series,
+                strict=strict,
                 ct=ct,
                 as_json=as_json,
                 cluster=cluster,
@@ -743,6 +757,7 @@ def devices(
 
 
 app.add_typer(case, name="case")
+app.add_typer(pacs, name="pacs")
 app.add_typer(cluster, name="cluster")
 
 

@@ -10,7 +10,7 @@ import typer
 from carina.argument_checks import PATH_CHARACTERS
 from carina.cli.arguments import parse_point
 from carina.cli.console import exit_codes
-from carina.cli.options import CtOption, JsonOption, PathArgument, SeriesOption
+from carina.cli.options import CtOption, JsonOption, PathArgument, SeriesOption, StrictOption
 
 FromMaskOption = Annotated[
     Path | None,
@@ -22,10 +22,6 @@ FromMaskOption = Annotated[
 LabelOption = Annotated[int | None, typer.Option("--label", help="Label of the airway lumen in the segmentation.")]
 ResampleOption = Annotated[
     bool, typer.Option("--resample", help="Resample the segmentation if its grid differs from that of the scan.")
-]
-
-StrictOption = Annotated[
-    bool, typer.Option("--strict", help="Stop with exit code 3 if the check of the scan finds problems.")
 ]
 
 
@@ -182,6 +178,7 @@ def track(
         ),
     ] = True,
     series: SeriesOption = None,
+    strict: StrictOption = False,
     ct: CtOption = None,
     output: Annotated[Path | None, typer.Option("-o", "--output", help="Path tree file to write: .json.")] = None,
     as_json: JsonOption = False,
@@ -208,6 +205,7 @@ def track(
                 graph=graph,
                 relax=relax,
                 series=series,
+                strict=strict,
                 ct=ct,
                 output=output,
                 as_json=as_json,
@@ -289,6 +287,7 @@ def plan(
         ),
     ] = None,
     series: SeriesOption = None,
+    strict: StrictOption = False,
     ct: CtOption = None,
     output: Annotated[
         Path | None,
@@ -344,6 +343,7 @@ def plan(
                 available=available,
                 compare=tuple(parse_point(point, "--compare") for point in compare or ()),
                 series=series,
+                strict=strict,
                 ct=ct,
                 output=output,
                 kind="tracing" if only_tracing else "report",

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from carina.cli.console import exit_codes
-from carina.cli.options import CtOption, JsonOption, PathArgument, SeriesOption
+from carina.cli.options import CtOption, JsonOption, PathArgument, SeriesOption, StrictOption
 
 
 def _list_tasks(wanted: bool) -> None:
@@ -54,6 +54,7 @@ def score(
         typer.Option("--list-tasks", help="List the built-in tasks and exit.", callback=_list_tasks, is_eager=True),
     ] = False,
     series: SeriesOption = None,
+    strict: StrictOption = False,
     ct: CtOption = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -75,6 +76,7 @@ def score(
                 log=log,
                 learner=learner,
                 series=series,
+                strict=strict,
                 ct=ct,
                 as_json=as_json,
             )

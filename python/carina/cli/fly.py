@@ -61,6 +61,7 @@ def report(
     scope: str | None,
     step_vox: float,
     series: str | None,
+    strict: bool,
     as_json: bool,
     cluster: str | None = None,
     token: Path | None = None,
@@ -110,7 +111,7 @@ def report(
         VideoWriter(output, *size, rate_hz=rate_hz) as video,
         opened_cluster(cluster, token=token, mixed=mixed) as used,
     ):
-        source = open_input(path, series=series, progress=progress, ct=ct)
+        source = open_input(path, series=series, strict=strict, progress=progress, ct=ct)
         volume, badges = source.volume, source.badges
         if of_case and source.moment is not None:
             given = key_file(volume, source.key_frames(str(keys)), source.moment.sight)

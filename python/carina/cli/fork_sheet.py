@@ -16,14 +16,14 @@ FORK_SHEET = "forks"
 
 
 def write_fork_sheet(
-    path: Path, *, output: Path, to: str | None, series: str | None, ct: Path | None, as_json: bool
+    path: Path, *, output: Path, to: str | None, series: str | None, strict: bool, ct: Path | None, as_json: bool
 ) -> int:
     """Render the forks of a route, and write one PNG."""
     check_output_file(output, ".png")
     to = check_destination(to, FORK_SHEET)
     check_case_options(path, ct)
     progress = progress_printer()
-    source = open_input(path, series=series, progress=progress, ct=ct)
+    source = open_input(path, series=series, strict=strict, progress=progress, ct=ct)
     way = route_to(source, to, tree_file=None, progress=progress)
     cost = "lumen" if source.document is None else source.document.cost_of(way)
     check_forks(way, cost)

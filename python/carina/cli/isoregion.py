@@ -29,6 +29,7 @@ def write(
     transfer: str | None,
     equal_by: str,
     series: str | None,
+    strict: bool,
     ct: Path | None,
     as_json: bool,
 ) -> int:
@@ -44,7 +45,7 @@ def write(
     comparison = _comparison(equal_by, transfer)
     chosen = chosen_transfer(transfer)
     check_case_options(path, ct)
-    source = open_input(path, series=series, progress=progress_printer(), ct=ct)
+    source = open_input(path, series=series, strict=strict, progress=progress_printer(), ct=ct)
     compared = "classes" if chosen is not None else equal_by_name(source.volume.hu_zyx, comparison)
     if map_file is not None:
         radii = open_isoregion_map(map_file, source.volume, chosen, equal_by=comparison)

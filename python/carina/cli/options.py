@@ -29,3 +29,10 @@ CtOption = Annotated[
 SeriesOption = Annotated[
     str | None, typer.Option("--series", help="Key of the series to open; `carina info` lists the keys.")
 ]
+StrictOption = Annotated[
+    bool,
+    typer.Option(
+        "--strict",
+        help="Refuse a scan that was corrected or in which the check finds a problem (exit code 3).",
+    ),
+]

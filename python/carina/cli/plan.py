@@ -77,6 +77,7 @@ def report(
     identity: Identity,
     send_to: str | None,
     series: str | None,
+    strict: bool,
     as_json: bool,
     ct: Path | None = None,
     compare: tuple[NDArray[np.float64], ...] = (),
@@ -111,7 +112,7 @@ def report(
         raise UsageError(f"--paper: expected {' or '.join(PAPERS)}; found {paper}")
     check_case_options(path, ct)
     progress = progress_printer()
-    source = open_input(path, series=series, progress=progress, ct=ct)
+    source = open_input(path, series=series, strict=strict, progress=progress, ct=ct)
     place = source.place if ct is None else ct
     if output is not None and output.name.lower().endswith((*PLAN_FORMATS, ARCHIVE_SUFFIX)):
         check_plan_file(output, source.volume, place, series=series, identity=identity)
@@ -139,7 +140,9 @@ def report(
     print_note(f"target: {found.words}")
     for note in found.nodule.notes:
         print_note(f"target: {note}")
-    measured = None if second_ct is None else _measured_movement(second_ct, source.volume, airways, found, progress)
+    measured = None
+    if second_ct is not None:
+        measured = _measured_movement(second_ct, source.volume, airways, found, progress, strict=strict)
     plan = carina.plan_route(
         source.volume,
         airways,
@@ -277,10 +280,10 @@ def report(
 
 
 def _measured_movement(
-    path: Path, volume: Volume, airways: Airways, target: PlanTarget, progress: ProgressCallback
+    path: Path, volume: Volume, airways: Airways, target: PlanTarget, progress: ProgressCallback, *, strict: bool
 ) -> MovementMeasurement:
     """Return the movement of a target that is measured from a second CT or case."""
-    second = open_input(path, series=None, progress=progress)
+    second = open_input(path, series=None, strict=strict, progress=progress)
     # The airways of a scan are found only after the checks of its size.
     known = None if second.document is None else second.airways(progress)
     found = measure_movement(volume, airways, target, second.volume, known, progress=progress)

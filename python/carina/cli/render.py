@@ -166,6 +166,7 @@ def report(
     scale_bar: bool | None,
     names: bool | None,
     series: str | None,
+    strict: bool,
     as_json: bool,
     ct: Path | None = None,
 ) -> int:
@@ -203,7 +204,7 @@ def report(
             focus=seen.focus,
         )
         if not sheet:
-            return write_fork_sheet(path, output=output, to=to, series=series, ct=ct, as_json=as_json)
+            return write_fork_sheet(path, output=output, to=to, series=series, strict=strict, ct=ct, as_json=as_json)
         return write_xray_set(
             path,
             output=output,
@@ -211,6 +212,7 @@ def report(
             size=size,
             window=_window(window),
             series=series,
+            strict=strict,
             ct=ct,
             as_json=as_json,
         )
@@ -273,7 +275,7 @@ def report(
     view_spec(pose=Pose.looking((0.0, 0.0, 0.0) if at is None else at, direction, up), **options)
     turned = False
     progress = progress_printer()
-    source = open_input(path, series=series, progress=progress, ct=ct)
+    source = open_input(path, series=series, strict=strict, progress=progress, ct=ct)
     volume, badges = source.volume, source.badges
     if source.moment is not None:
         options |= _case_view_options(source, view, seen, fov_deg, window, shading, texture)

@@ -44,6 +44,7 @@ def report(
     log: Path | None,
     learner: str | None,
     series: str | None,
+    strict: bool,
     ct: Path | None,
     as_json: bool,
 ) -> int:
@@ -58,7 +59,7 @@ def report(
     flights = [open_case_recording(path, one) for one in (*earlier, recording)]
     chosen = task_of_flight(flights[-1]) if chosen is None else chosen
     progress = progress_printer()
-    source = open_input(path, series=series, progress=progress, ct=ct)
+    source = open_input(path, series=series, strict=strict, progress=progress, ct=ct)
     for one in flights:
         one.check_scan(source.volume)
     airways = source.airways(progress)

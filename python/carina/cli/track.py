@@ -28,6 +28,7 @@ def report(
     cost: str,
     graph: str,
     series: str | None,
+    strict: bool,
     output: Path | None,
     as_json: bool,
     relax: bool = True,
@@ -40,7 +41,7 @@ def report(
     # With the cost ``lumen``, paths start at the root of the case's airways; the other costs accept any start point.
     check_case_options(path, ct, root=root is not None and cost == "lumen")
     progress = progress_printer()
-    source = open_input(path, series=series, progress=progress, ct=ct)
+    source = open_input(path, series=series, strict=strict, progress=progress, ct=ct)
     volume, badges = source.volume, source.badges
     result = carina.track_paths(
         volume,

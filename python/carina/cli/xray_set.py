@@ -26,6 +26,7 @@ def write_xray_set(
     size: tuple[int, int],
     window: tuple[float, float] | None,
     series: str | None,
+    strict: bool,
     ct: Path | None,
     as_json: bool,
 ) -> int:
@@ -34,7 +35,7 @@ def write_xray_set(
     if size[0] != size[1]:
         raise UsageError(f"--size: each X-ray of the set is square; found {size[0]}x{size[1]}")
     check_case_options(path, ct)
-    source = open_input(path, series=series, progress=progress_printer(), ct=ct)
+    source = open_input(path, series=series, strict=strict, progress=progress_printer(), ct=ct)
     if at is not None:
         check_in_volume(source.volume, at, "--at")
     elif source.tip is not None:

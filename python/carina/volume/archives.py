@@ -28,6 +28,8 @@ from typing import Any, BinaryIO, Literal, cast
 
 from carina.disk import scratch_folder
 from carina.errors import CarinaError, VolumeImportError
+from carina.installation import extra_command
+from carina.volume import seven_zip
 from carina.volume.message_limits import bounded_name
 from carina.volume.progress import Watch
 from carina.volume.read_limits import MAX_FILES
@@ -215,7 +217,9 @@ class _Unpacking:
         try:
             if kind == "zip":
                 inner = self._unpack_zip(path, shown, folder)
-            elif kind in ("7z", "rar"):
+            elif kind == "7z":
+                inner = self._unpack_seven_zip(path, shown, folder)
+            elif kind == "rar":
                 problem = f"{kind} archives are not supported"
                 raise _refusal(shown, problem, _UNPACK, "import.archive.not-supported")
             else:
@@ -266,6 +270,34 @@ class _Unpacking:
                     inner.append(place)
         return inner
 
+    def _unpack_seven_zip(self, path: Path, shown: Path, folder: Path) -> list[Path]:
+        inner = []
+        size = path.stat().st_size or 1
+        try:
+            for member in seven_zip.members(path):
+                self._budget.watch.step("Unpacking the archive")
+                self._budget.add_member()
+                place = self._place(folder, member.name)
+                if place is None:
+                    continue
+                # libarchive does not state its position in the file, so the share is that of the unpacked bytes.
+                self._write_blocks(member.blocks(), place, lambda: self._budget.num_bytes / (3 * size))
+                if member.name.lower().endswith(_SUFFIXES):
+                    inner.append(place)
+        except seven_zip.EncryptedError:
+            way_out = "unpack it with its password and open the folder"
+            raise _refusal(shown, "it is protected by a password", way_out, "import.archive.encrypted") from None
+        except seven_zip.UnknownMethodError:
+            problem = "it is packed by a method that is not supported"
+            raise _refusal(shown, problem, _UNPACK, "import.archive.not-supported") from None
+        except seven_zip.MissingLibraryError:
+            problem = "7z archives need the package libarchive-c and the library libarchive, which are not installed"
+            way_out = f"{_UNPACK}, or run: {extra_command('sevenzip')}"
+            raise _refusal(shown, problem, way_out, "import.archive.not-supported") from None
+        except seven_zip.SevenZipError as error:
+            raise _damaged(shown, error) from None
+        return inner
+
     def _unpack_tar(self, path: Path, kind: str, folder: Path) -> list[Path]:
         inner = []
         size = path.stat().st_size or 1
@@ -304,13 +336,16 @@ class _Unpacking:
         return inner
 
     def _write(self, read: Callable[[int], bytes], place: Path, fraction: Callable[[], float]) -> None:
+        self._write_blocks(iter(lambda: read(_CHUNK), b""), place, fraction)
+
+    def _write_blocks(self, blocks: Iterator[bytes], place: Path, fraction: Callable[[], float]) -> None:
         descriptor = os.open(place, os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0), 0o600)
         with os.fdopen(descriptor, "wb") as file:
             self._budget.watch.step("Unpacking the archive", min(1.0, fraction()))
-            while chunk := read(_CHUNK):
+            for block in blocks:
                 self._budget.watch.step("Unpacking the archive", min(1.0, fraction()))
-                self._budget.add_bytes(len(chunk))
-                file.write(chunk)
+                self._budget.add_bytes(len(block))
+                file.write(block)
 
     def _place(self, folder: Path, name: str) -> Path | None:
         """Return a new neutral path for a member, or None for a file of macOS that is never part of a scan.

@@ -90,6 +90,14 @@ def _walk(folder: Path, unused: list[UnusedFile], *, recursive: bool, watch: Wat
                 unused.append(UnusedFile(path, "a link to a missing file", 0, is_dicom=False))
 
 
+def files_below(path: Path, *, watch: Watch) -> Iterator[Path]:
+    """Yield a file, or all files in a folder and its subfolders; links to missing files are left out."""
+    if path.is_file():
+        yield path
+    else:
+        yield from _walk(path, [], recursive=True, watch=watch)
+
+
 def _size(path: Path) -> int:
     try:
         return path.stat().st_size

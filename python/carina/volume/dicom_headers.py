@@ -31,6 +31,7 @@ from carina.volume.axis_angles import MAX_SKEW_DEG
 from carina.volume.character_sets import settle_character_set
 from carina.volume.dicom_frames import described_frames, each_frame, is_enhanced
 from carina.volume.dicom_modality_lut import ModalityLut, read_modality_lut
+from carina.volume.model import MAX_THICKNESS_MM
 from carina.volume.padding import PaddingRange, padding_ranges
 
 # pydicom logs odd values, which may be a name; nothing of a header may be logged.
@@ -90,8 +91,6 @@ _TAGS = sorted({
 _DATES = ("AcquisitionDate", "AcquisitionDateTime", "StudyDate")
 _DATE_TAGS = [Tag(keyword) for keyword in _DATES]
 FIRST_CT_YEAR = 1971
-MAX_THICKNESS_MM = 20.0
-"""Largest thickness in mm of a chest CT's slices; a larger value of the tag has another unit or is a default."""
 
 
 @dataclass(frozen=True, slots=True)

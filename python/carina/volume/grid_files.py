@@ -1,4 +1,4 @@
-"""Reader of NIfTI, NRRD and MetaImage files; two readers of the header must find the same geometry."""
+"""Reader of NIfTI, NRRD, MetaImage and VTI files; two readers of the header must find the same geometry."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from carina.display.printable import printable
 from carina.errors import VolumeImportError
+from carina.volume.bids_sidecar import stated_thickness_mm
 from carina.volume.grid_headers import GridHeader, read_grid_header
 from carina.volume.grid_second_reader import read_geometry
 from carina.volume.grid_voxels import read_voxels
@@ -17,6 +18,7 @@ from carina.volume.isoregion_bundle import check_bundle, contains_map
 from carina.volume.model import Note, Volume, VolumeSource
 from carina.volume.padding import without_corner_padding
 from carina.volume.progress import Watch
+from carina.volume.vti_voxels import read_vti_voxels
 
 
 def _check_agreement(path: Path, header: GridHeader) -> None:
@@ -55,14 +57,14 @@ def read_grid_array(
     *,
     watch: Watch,
 ) -> tuple[NDArray[np.generic], GridHeader, tuple[Note, ...]]:
-    """Read the numbers of one NIfTI, NRRD or MetaImage file unchanged, with its checked header and notes.
+    """Read the numbers of one grid file unchanged, with its checked header and notes.
 
     Parameters
     ----------
     path
         The file.
     format
-        ``nifti``, ``nrrd`` or ``metaimage``.
+        One of ``GRID_FORMATS``.
     watch
         Progress and cancellation.
 
@@ -81,12 +83,14 @@ def read_grid_array(
     watch.step("Reading the header")
     header = read_grid_header(path, format)
     _check_agreement(path, header)
+    if format == "vti":
+        return read_vti_voxels(path, header, watch), header, header.notes
     values, notes = read_voxels(path, header, watch)
     return values, header, header.notes + notes
 
 
 def open_grid_file(path: Path, format: str, *, watch: Watch) -> Volume:  # noqa: A002 - the word of the field
-    """Open one NIfTI, NRRD or MetaImage file as a volume.
+    """Open one grid file as a volume.
 
     Raises
     ------
@@ -123,5 +127,10 @@ def open_grid_file(path: Path, format: str, *, watch: Watch) -> Volume:  # noqa:
         header.lps_from_ijk,
         is_hu=reason is None,
         not_hu_reason=reason,
-        source=VolumeSource(format=format, title=printable(path.name), notes=notes + converted.notes + padding),
+        source=VolumeSource(
+            format=format,
+            title=printable(path.name),
+            notes=notes + converted.notes + padding,
+            slice_thickness_mm=stated_thickness_mm(path),
+        ),
     )

@@ -1,4 +1,4 @@
-"""Reader of NIfTI, NRRD and MetaImage headers, which are checked before a library allocates memory for them.
+"""Reader of NIfTI, NRRD, MetaImage and VTI headers, which are checked before a library allocates memory for them.
 
 A false header is refused before any allocation, and the geometry that the library reads must agree with the result.
 Sources: nifti1.h (NIfTI-1.1), the NRRD format definition (teem), MetaIO's documentation. Each format has its own
@@ -7,6 +7,7 @@ module.
 
 from __future__ import annotations
 
+import mmap
 import struct
 from pathlib import Path
 
@@ -19,9 +20,13 @@ from carina.volume.header_fields import GridHeader, HeaderValueError, refuse
 from carina.volume.header_metaimage import read_metaimage_header
 from carina.volume.header_nifti import read_nifti_header
 from carina.volume.header_nrrd import read_nrrd_header
+from carina.volume.header_vti import read_vti_header
 from carina.volume.model import SPACING_MM
 
-__all__ = ["GridHeader", "read_grid_header", "sniff_format"]
+__all__ = ["GRID_FORMATS", "GridHeader", "read_grid_header", "sniff_format"]
+
+GRID_FORMATS = ("nifti", "nrrd", "metaimage", "vti")
+"""Formats of one volume in a file, as :func:`sniff_format` returns them."""
 
 _GZIP = b"\x1f\x8b"
 _MAX_TEXT_HEADER_BYTES = 1 << 20
@@ -55,7 +60,7 @@ def _head(path: Path, num_bytes: int) -> tuple[bytes, bool]:
 def sniff_format(path: Path) -> str | None:
     """Return the format of a file from its first bytes, never from its name; None if the format is unknown.
 
-    ``nifti``, ``nrrd`` and ``metaimage`` can be read, with or without gzip. The other formats are returned for
+    The formats in ``GRID_FORMATS`` can be read, all but ``vti`` with or without gzip. Others are returned for
     messages: ``pdf``, ``zip``, ``bzip2``, ``xz``, ``zstd``, ``gzip twice``, ``gzip dicom`` and ``gzip tar`` (an
     archive).
     """
@@ -73,6 +78,8 @@ def sniff_format(path: Path) -> str | None:
         return "gzip dicom"
     if gzipped and head[257:262] == b"ustar":
         return "gzip tar"
+    if not gzipped and b"<VTKFile" in head[:1024]:
+        return "vti"
     if b"ElementDataFile" in head or head.lstrip()[:10] in (b"ObjectType", b"NDims = 3\n"):
         return "metaimage"
     return None
@@ -107,6 +114,9 @@ def read_grid_header(path: Path, format: str) -> GridHeader:  # noqa: A002 - the
 def _read(path: Path, format: str) -> GridHeader:  # noqa: A002 - the word of the field
     if format == "nifti":
         return read_nifti_header(path, _head(path, 1024)[0])
+    if format == "vti":
+        with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as content:
+            return read_vti_header(path, content)
     text, gzipped = _head(path, _MAX_TEXT_HEADER_BYTES)
     read = read_nrrd_header if format == "nrrd" else read_metaimage_header
     return read(path, text, gzipped=gzipped)

@@ -1,4 +1,4 @@
-"""Second reader of the geometry in NIfTI, NRRD and MetaImage headers, as a check of the first one.
+"""Second reader of the geometry in NIfTI, NRRD, MetaImage and VTI headers, as a check of the first one.
 
 The first reader (``grid_headers``) decides what is accepted. This module reads only the size and the position of the
 grid, shares no code with the first reader, and computes each value in another way, so that a mistake in one of them
@@ -54,6 +54,8 @@ def read_geometry(head: bytes, format: str) -> tuple[tuple[int, ...], NDArray[np
     if format == "nifti":
         return _nifti(head)
     text = head.decode("latin-1")
+    if format == "vti":
+        return _vti(text)
     return _nrrd(text) if format == "nrrd" else _metaimage(text)
 
 
@@ -144,3 +146,29 @@ def _metaimage(text: str) -> tuple[tuple[int, ...], NDArray[np.float64]]:
     # Each group of three numbers is the direction of one axis.
     axes = [np.array(turn[3 * axis : 3 * axis + 3]) for axis in range(3)]
     return sizes, _transform([length * axis for length, axis in zip(spacing, axes, strict=True)], origin)
+
+
+def _vti(text: str) -> tuple[tuple[int, ...], NDArray[np.float64]]:
+    tag = text[text.index("<ImageData") :]
+    tag = tag[: tag.index(">")]
+
+    def numbers(name: str, default: str | None = None) -> list[float]:
+        _, mark, after = tag.replace("'", '"').partition(f'{name}="')
+        if not mark and default is None:
+            raise ValueError
+        return _numbers(after.split('"')[0] if mark else default or "")
+
+    extent, spacing, origin = numbers("WholeExtent"), numbers("Spacing"), np.array(numbers("Origin", "0 0 0"))
+    turn = numbers("Direction", "1 0 0 0 1 0 0 0 1")
+    on_cells = (
+        text.rindex("<CellData") > text.rindex("<PointData")
+        if "<CellData" in text and "<PointData" in text
+        else ("<PointData" not in text)
+    )
+    low, high = extent[0::2], extent[1::2]
+    sizes = tuple(int(b - a) + (0 if on_cells else 1) for a, b in zip(low, high, strict=True))
+    # The direction of an axis is a column of the matrix.
+    axes = [spacing[axis] * np.array(turn[axis::3]) for axis in range(3)]
+    shift = 0.5 if on_cells else 0.0
+    first = origin + sum(((low[axis] + shift) * axes[axis] for axis in range(3)), np.zeros(3))
+    return sizes, _transform(axes, first)

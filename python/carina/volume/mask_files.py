@@ -18,7 +18,7 @@ from carina.errors import VolumeImportError
 from carina.value import FrozenValue, Words
 from carina.volume.dicom_signature import looks_like_dicom
 from carina.volume.grid_files import read_grid_array
-from carina.volume.grid_headers import sniff_format
+from carina.volume.grid_headers import GRID_FORMATS, sniff_format
 from carina.volume.io_errors import guarded
 from carina.volume.model import Volume
 from carina.volume.progress import Watch
@@ -185,7 +185,7 @@ def _labels(path: Path, volume: Volume, watch: Watch) -> _Labels:
         seg = read_segmentation(path, watch, volume=volume)
         return _Labels(seg.num_voxels, seg.inside, seg.lps_from_ijk, seg.names, seg.notes)
     kind = sniff_format(path) if path.is_file() else None
-    if kind not in ("nifti", "nrrd", "metaimage"):
+    if kind not in GRID_FORMATS:
         msg = (
             f"reading the segmentation {path.name}: expected one NIfTI (.nii, .nii.gz), NRRD, MetaImage or DICOM "
             "SEG file; export the segmentation as one of these"

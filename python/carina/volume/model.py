@@ -16,6 +16,8 @@ from carina.display.slices import middle_slices
 from carina.errors import GeometryError
 from carina.volume.licence_notice import Citation
 
+MAX_THICKNESS_MM = 20.0
+"""Largest thickness in mm of a chest CT's slices; a larger value of the tag has another unit or is a default."""
 SPACING_MM = (0.01, 100.0)
 """Smallest and largest voxel spacing of any volume, in mm; values outside come from a lost unit or a false header."""
 LUNG_WINDOW_HU = (1500.0, -600.0)

@@ -11,7 +11,7 @@ from carina.display.progress import ProgressChoice, progress_function, shows_pro
 from carina.errors import UsageError, VolumeImportError, check_type
 from carina.volume.dicom_signature import looks_like_dicom
 from carina.volume.grid_files import open_grid_file
-from carina.volume.grid_headers import sniff_format
+from carina.volume.grid_headers import GRID_FORMATS, sniff_format
 from carina.volume.io_errors import guarded
 from carina.volume.model import Volume
 from carina.volume.progress import Watch
@@ -22,8 +22,10 @@ if TYPE_CHECKING:
     from carina.volume.dicom import FoundSeries
     from carina.volume.dicom_files import FolderContent
 
-_KINDS = "a DICOM folder, NIfTI (.nii, .nii.gz), NRRD (.nrrd), MetaImage (.mha, .mhd) or an archive (.zip, .tar.gz)"
-_GRID_SUFFIXES = (".nii", ".nii.gz", ".nrrd", ".nhdr", ".mha", ".mhd")
+_KINDS = (
+    "a DICOM folder, NIfTI (.nii, .nii.gz), NRRD (.nrrd), MetaImage (.mha, .mhd) or an archive (.zip, .tar.gz, .7z)"
+)
+_GRID_SUFFIXES = (".nii", ".nii.gz", ".nrrd", ".nhdr", ".mha", ".mhd", ".vti")
 
 
 @shows_progress
@@ -41,7 +43,7 @@ def open_volume(
     ----------
     path
         Folders are searched with all their subfolders; files need no extension. One DICOM file selects its series in
-        its folder; a DICOMDIR file selects its folder. A zip or tar archive is opened like a folder: its files are
+        its folder; a DICOMDIR file selects its folder. A zip, tar or 7z archive is opened like a folder: its files are
         unpacked into a private temporary folder, which is removed after reading.
     series
         Key of the DICOM series to open (``SeriesInfo.key``). None opens the largest chest CT, and ``source.notes`` list
@@ -114,7 +116,7 @@ def find_in(path: Path, watch: Watch) -> list[FoundSeries] | str:
     if looks_like_dicom(path):
         return _series_of_file(path, watch)
     kind = sniff_format(path)
-    if kind in ("nifti", "nrrd", "metaimage"):
+    if kind in GRID_FORMATS:
         return kind
     raise VolumeImportError(f"reading {path.name}: {_not_an_image(path, kind)}", code="import.not-an-image")
 

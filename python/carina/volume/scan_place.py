@@ -9,8 +9,9 @@ from pathlib import Path
 
 from carina.errors import CarinaError
 from carina.volume.archives import UnpackedArchive, archive_kind, unpacked_archive
+from carina.volume.bids_sidecar import only_volume_in
 from carina.volume.dicom_signature import looks_like_dicom
-from carina.volume.grid_headers import sniff_format
+from carina.volume.grid_headers import GRID_FORMATS, sniff_format
 from carina.volume.message_limits import bounded_message
 from carina.volume.model import Note, SeriesInfo, Volume
 from carina.volume.progress import Watch
@@ -69,7 +70,8 @@ def scan_place(path: Path, watch: Watch) -> Iterator[ScanPlace]:
     Yields
     ------
     ScanPlace
-        The path to read. Of an archive with one volume that is not DICOM, the path is the file of this volume.
+        The path to read. Of an archive or a folder with one volume that is not DICOM, the path is the file of this
+        volume.
 
     Raises
     ------
@@ -78,7 +80,10 @@ def scan_place(path: Path, watch: Watch) -> Iterator[ScanPlace]:
     """
     kind = archive_kind(path) if path.is_file() else None
     if kind is None:
-        yield ScanPlace(path.absolute().parent if is_media_directory(path) else path)
+        if path.is_dir():
+            yield ScanPlace(only_volume_in(path) or path)
+        else:
+            yield ScanPlace(path.absolute().parent if is_media_directory(path) else path)
         return
     with unpacked_archive(path, kind, watch) as content:
         place = ScanPlace(_scan_in(content.folder, watch), content)
@@ -107,6 +112,6 @@ def _scan_in(folder: Path, watch: Watch) -> Path:
         if place.is_file():
             if looks_like_dicom(place):
                 return folder
-            if sniff_format(place) in ("nifti", "nrrd", "metaimage"):
+            if sniff_format(place) in GRID_FORMATS:
                 volumes.append(place)
     return volumes[0] if len(volumes) == 1 else folder

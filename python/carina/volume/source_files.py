@@ -13,7 +13,7 @@ from carina.display import one_line
 from carina.errors import CarinaError
 from carina.volume.archives import archive_kind
 from carina.volume.dicom_signature import looks_like_dicom
-from carina.volume.grid_headers import read_grid_header, sniff_format
+from carina.volume.grid_headers import GRID_FORMATS, read_grid_header, sniff_format
 from carina.volume.header_nifti import data_files
 from carina.volume.read_limits import MAX_FILES
 from carina.volume.scan_place import is_media_directory
@@ -120,7 +120,7 @@ def _what_is_read(path: Path) -> tuple[Reads, tuple[str, ...]]:
     if archive_kind(path) is not None:
         return "files", (path.name,)
     kind = sniff_format(path)
-    if kind not in ("nifti", "nrrd", "metaimage"):
+    if kind not in GRID_FORMATS:
         raise ValueError
     found = read_grid_header(path, kind).data_path
     if found == path:

@@ -1,0 +1,397 @@
+"""Requests to a PACS by DICOM's network protocol: C-ECHO, C-FIND, C-GET, C-MOVE with a listener, C-STORE."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import logging
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from pydicom.dataset import Dataset
+
+from carina.errors import CarinaError, PacsError
+from carina.pacs.connections import PacsConnection
+from carina.pacs.reasons import CONNECT_S, check_port, missing_library, offline, tls_context
+from carina.pacs.results import CheckStep
+from carina.pacs.retrieval_folder import RetrievalFolder, part10
+from carina.volume.progress import Watch
+
+__all__ = ["DimseClient"]
+
+_ECHO = "1.2.840.10008.1.1"
+_FIND = "1.2.840.10008.5.1.4.1.2.2.1"
+_MOVE = "1.2.840.10008.5.1.4.1.2.2.2"
+_GET = "1.2.840.10008.5.1.4.1.2.2.3"
+_ROOT = "1.2.840.10008.5.1.4.1.1"
+_STORED = tuple(f"{_ROOT}.{kind}" for kind in ("2", "2.1", "4", "4.1", "7", "66.4", "88.33", "88.34", "104.1", "11.1"))
+"""Classes that can be retrieved: CT and MR, classic and enhanced, captures, SEG, SR, PDF, presentation states."""
+_PLAIN = ("1.2.840.10008.1.2.1", "1.2.840.10008.1.2")
+_COMPRESSED = tuple(
+    f"1.2.840.10008.1.2.{kind}" for kind in ("4.70", "4.57", "4.80", "4.90", "5", "4.50", "4.51", "4.81", "4.91")
+)
+_IMAGE_CLASSES = _STORED[:4]
+_PENDING = (0xFF00, 0xFF01)
+_SLOW_S = 120.0
+"""Longest wait in seconds for the next message of a PACS, which may have to load a tape."""
+_BATCH = 200
+"""Number of images in one request of a resumed retrieval."""
+# The library logs the values of identifiers and AE titles; nothing about a patient may be logged.
+for _name in ("pynetdicom",):
+    logging.getLogger(_name).setLevel(logging.CRITICAL + 1)
+
+
+def _library() -> Any:
+    try:
+        import pynetdicom
+    except ImportError:
+        raise missing_library() from None
+    pynetdicom._config.LOG_HANDLER_LEVEL = "none"
+    pynetdicom._config.LOG_RESPONSE_IDENTIFIERS = False
+    pynetdicom._config.LOG_REQUEST_IDENTIFIERS = False
+    return pynetdicom
+
+
+class DimseClient:
+    """Requests to one PACS."""
+
+    def __init__(self, connection: PacsConnection) -> None:
+        self._connection = connection
+        self._pynetdicom = _library()
+
+    @property
+    def name(self) -> str:
+        """Name of the connection, for messages."""
+        return self._connection.name
+
+    # -- associations ------------------------------------------------------------------------------------------------
+
+    def _entity(self) -> Any:
+        entity = self._pynetdicom.AE(ae_title=self._connection.calling_ae)
+        entity.connection_timeout = CONNECT_S
+        entity.acse_timeout = 30.0
+        entity.dimse_timeout = entity.network_timeout = _SLOW_S
+        entity.maximum_pdu_size = 0
+        return entity
+
+    @contextlib.contextmanager
+    def _association(
+        self, contexts: Sequence[tuple[str, Sequence[str]]], *, roles: Sequence[Any] = (), handlers: Sequence[Any] = ()
+    ) -> Iterator[Any]:
+        """Open an association, and release it at the end of the block.
+
+        Raises
+        ------
+        PacsError
+            If the PACS cannot be reached, or refuses an AE title or all contexts.
+        """
+        connection = self._connection
+        entity = self._entity()
+        for abstract, syntaxes in contexts:
+            entity.add_requested_context(abstract, list(syntaxes))
+        tls = (tls_context(connection), connection.host) if connection.tls else None
+        try:
+            association = entity.associate(
+                connection.host, connection.port, ae_title=connection.called_ae, ext_neg=list(roles) or None,
+                evt_handlers=list(handlers), tls_args=tls,
+            )  # fmt: skip
+        except OSError as error:
+            raise offline(connection, error) from None
+        if not association.is_established:
+            raise self._refusal(association)
+        try:
+            yield association
+        finally:
+            if association.is_established:
+                association.release()
+
+    def _refusal(self, association: Any) -> PacsError:
+        if association.is_rejected:
+            answer = association.acceptor.primitive
+            source, reason = getattr(answer, "result_source", 0), getattr(answer, "diagnostic", 0)
+            if (source, reason) == (1, 7):
+                return PacsError(
+                    f"{self.name}: the PACS does not have the AE title {self._connection.called_ae}; ask its "
+                    "administrator for its AE title",
+                    code="pacs.ae-title",
+                )
+            if (source, reason) == (1, 3):
+                return PacsError(
+                    f"{self.name}: the PACS does not know this machine; ask its administrator to enter the AE title "
+                    f"{self._connection.calling_ae} with the address of this machine",
+                    code="pacs.ae-title",
+                )
+            return PacsError(f"{self.name}: the PACS refuses connections now; try again later", code="pacs.refused")
+        try:
+            check_port(self._connection)
+        except PacsError as error:
+            return error
+        if association.is_aborted:
+            return PacsError(
+                f"{self.name}: the PACS closed the connection; check the AE titles and whether this port uses TLS",
+                code="pacs.ae-title",
+            )
+        return PacsError(f"{self.name}: the PACS offers no service for this request", code="pacs.no-service")
+
+    # -- connection test ---------------------------------------------------------------------------------------------
+
+    def check(self) -> list[CheckStep]:
+        """Test the connection, step by step, until a step fails."""
+        steps: list[CheckStep] = []
+
+        def step(name: str, action: Any) -> bool:
+            try:
+                steps.append(CheckStep(name, True, action()))
+            except CarinaError as error:
+                steps.append(CheckStep(name, False, str(error)))
+            return steps[-1].passed
+
+        place = f"{self._connection.host}, port {self._connection.port}"
+
+        def network() -> str:
+            check_port(self._connection)
+            return f"{place} answers"
+
+        if not step("network", network):
+            return steps
+        if step("C-ECHO", self._echo) and self._connection.listen_port is not None:
+            step("C-MOVE", self._check_listener)
+        return steps
+
+    def _echo(self) -> str:
+        with self._association([(_ECHO, _PLAIN)]) as association:
+            status = association.send_c_echo()
+        if getattr(status, "Status", None) != 0x0000:
+            raise PacsError(f"{self.name}: the PACS refused the test message (C-ECHO)", code="pacs.refused")
+        return f"the PACS accepts the AE titles {self._connection.calling_ae} and {self._connection.called_ae}"
+
+    def _check_listener(self) -> str:
+        """Listen on the second port, and ask the PACS to send a series that does not exist."""
+        with self._listener(None), self._association([(_MOVE, _PLAIN)]) as association:
+            query = _query("SERIES", StudyInstanceUID="2.25.1", SeriesInstanceUID="2.25.2")
+            for status, _ in association.send_c_move(query, self._connection.calling_ae, _MOVE):
+                if getattr(status, "Status", None) == 0xA801:
+                    raise self._unknown_destination()
+        return (
+            f"port {self._connection.listen_port} of this machine is free and the PACS knows "
+            f"{self._connection.calling_ae}; whether it can reach the port shows in the first retrieval"
+        )
+
+    def _unknown_destination(self) -> PacsError:
+        return PacsError(
+            f"{self.name}: the PACS has no address for this machine; ask its administrator to enter the AE title "
+            f"{self._connection.calling_ae} with the address of this machine and port {self._connection.listen_port}",
+            code="pacs.ae-title",
+        )
+
+    # -- search ------------------------------------------------------------------------------------------------------
+
+    def find(self, level: str, keys: dict[str, str], *, limit: int, watch: Watch) -> list[Dataset]:
+        """Return the matches of a query (C-FIND), at most ``limit``."""
+        found: list[Dataset] = []
+        with self._association([(_FIND, _PLAIN)]) as association:
+            for status, identifier in association.send_c_find(_query(level, **keys), _FIND):
+                watch.step("Searching the PACS")
+                code = getattr(status, "Status", None)
+                if code in _PENDING and identifier is not None:
+                    found.append(identifier)
+                    if len(found) >= limit:
+                        association.abort()
+                        break
+                elif code != 0x0000:
+                    raise PacsError(
+                        f"{self.name}: the search failed ({_code_text(code)}); search for less, such as one patient ID",
+                        code="pacs.search",
+                    )
+        return found
+
+    # -- retrieval ---------------------------------------------------------------------------------------------------
+
+    def retrieve(
+        self, study_uid: str, series_uid: str, images: Sequence[str], folder: RetrievalFolder, watch: Watch
+    ) -> None:
+        """Retrieve the images of a series that are not in the folder yet; an empty list requests the whole series."""
+        missing = [uid for uid in images if uid not in folder]
+        if images and not missing:
+            return
+        is_whole = len(missing) == len(images)
+        batches = [missing] if is_whole else [missing[at : at + _BATCH] for at in range(0, len(missing), _BATCH)]
+        for batch in batches:
+            if is_whole:
+                query = _query("SERIES", StudyInstanceUID=study_uid, SeriesInstanceUID=series_uid)
+            else:
+                query = _query("IMAGE", StudyInstanceUID=study_uid, SeriesInstanceUID=series_uid)
+                query.SOPInstanceUID = batch if len(batch) > 1 else batch[0]
+            receiver = _Receiver(series_uid, folder, len(images), watch)
+            if self._connection.listen_port is None:
+                self._get(query, receiver)
+            else:
+                self._move(query, receiver)
+            receiver.raise_problem()
+
+    def _get(self, query: Dataset, receiver: _Receiver) -> None:
+        contexts: list[tuple[str, Sequence[str]]] = [(_GET, _PLAIN)]
+        contexts += [(kind, _PLAIN) for kind in _STORED]
+        contexts += [(kind, (syntax,)) for kind in _IMAGE_CLASSES for syntax in _COMPRESSED]
+        roles = [self._pynetdicom.build_role(kind, scp_role=True) for kind in _STORED]
+        handlers = [(self._pynetdicom.evt.EVT_C_STORE, receiver.store)]
+        with self._association(contexts, roles=roles, handlers=handlers) as association:
+            self._run(association, association.send_c_get(query, _GET), receiver)
+
+    def _move(self, query: Dataset, receiver: _Receiver) -> None:
+        with self._listener(receiver), self._association([(_MOVE, _PLAIN)]) as association:
+            answers = association.send_c_move(query, self._connection.calling_ae, _MOVE)
+            self._run(association, answers, receiver)
+
+    def _run(self, association: Any, answers: Any, receiver: _Receiver) -> None:
+        """Read the answers to a retrieval until its end, a problem, or a cancellation."""
+        for status, _ in answers:
+            code = getattr(status, "Status", None)
+            if receiver.has_problem():
+                association.abort()
+                return
+            if code in _PENDING:
+                continue
+            if code is None:
+                raise PacsError(
+                    f"{self.name}: the connection broke; retrieve again to continue with the missing images",
+                    code="pacs.incomplete",
+                )
+            if code == 0xA801:
+                raise self._unknown_destination()
+            if code != 0x0000 and receiver.num_received == 0:
+                raise self._failed(code)
+
+    def _failed(self, code: int) -> PacsError:
+        if self._connection.listen_port is not None:
+            return PacsError(
+                f"{self.name}: the PACS could not send images to port {self._connection.listen_port} of this machine "
+                f"({_code_text(code)}); open this port in the firewall and check it in the settings of the PACS, or "
+                "retrieve without --listen-port",
+                code="pacs.listener",
+            )
+        return PacsError(
+            f"{self.name}: the PACS does not send images through this connection (C-GET, {_code_text(code)}); give "
+            "the port on which this machine receives images (--listen-port)",
+            code="pacs.refused",
+        )
+
+    @contextlib.contextmanager
+    def _listener(self, receiver: _Receiver | None) -> Iterator[None]:
+        """Receive images on the second port during the block.
+
+        Raises
+        ------
+        PacsError
+            ``pacs.listener``: the port cannot be opened.
+        """
+        connection = self._connection
+        entity = self._entity()
+        entity.require_called_aet = True
+        entity.add_supported_context(_ECHO)
+        for kind in _STORED:
+            entity.add_supported_context(kind, [*_PLAIN, *(_COMPRESSED if kind in _IMAGE_CLASSES else ())])
+        handlers = [] if receiver is None else [(self._pynetdicom.evt.EVT_C_STORE, receiver.store)]
+        try:
+            server = entity.start_server(
+                (connection.listen_host, connection.listen_port), block=False, evt_handlers=handlers
+            )
+        except OSError as error:
+            used = error.errno == errno.EADDRINUSE
+            why = "is used by another program" if used else "may not be opened"
+            raise PacsError(
+                f"{self.name}: port {connection.listen_port} of this machine {why}; choose another port here and in "
+                "the settings of the PACS",
+                code="pacs.listener",
+            ) from None
+        try:
+            yield
+        finally:
+            server.shutdown()
+
+    # -- storage -----------------------------------------------------------------------------------------------------
+
+    def store(self, files: Sequence[tuple[Path, Dataset]], watch: Watch) -> tuple[int, list[tuple[str, str]]]:
+        """Send files (C-STORE); return the number of stored files and the refused ones with reasons."""
+        kinds = sorted({(str(d.SOPClassUID), str(d.file_meta.TransferSyntaxUID)) for _, d in files})
+        contexts = [(kind, (syntax,) if syntax not in _PLAIN else _PLAIN) for kind, syntax in kinds][:128]
+        refused: list[tuple[str, str]] = []
+        stored = 0
+        with self._association(contexts) as association:
+            for index, (path, dataset) in enumerate(files):
+                watch.step("Sending to the PACS", index / len(files))
+                try:
+                    status = getattr(association.send_c_store(dataset), "Status", None)
+                except ValueError:
+                    refused.append((path.name, "the PACS does not accept files of this kind"))
+                    continue
+                except RuntimeError:
+                    raise PacsError(
+                        f"{self.name}: the connection broke after {stored} of {len(files)} files; send them again",
+                        code="pacs.incomplete",
+                    ) from None
+                if status is not None and (status == 0x0000 or status & 0xF000 == 0xB000):
+                    stored += 1
+                else:
+                    refused.append((path.name, f"the PACS did not store it ({_code_text(status)})"))
+        return stored, refused
+
+
+class _Receiver:
+    """Stores the images that arrive, and remembers the first problem."""
+
+    def __init__(self, series_uid: str, folder: RetrievalFolder, num_images: int, watch: Watch) -> None:
+        self._series_uid = series_uid
+        self._folder = folder
+        self._num_images = num_images
+        # Progress is reported from the thread of the connection, where an exception would be lost.
+        self._watch = replace(watch)
+        self._problem: BaseException | None = None
+        self.num_received = 0
+
+    def store(self, event: Any) -> int:
+        """Store one image; the result is the status for the PACS."""
+        if self._problem is not None:
+            return 0xA700
+        try:
+            total = self._num_images
+            self._watch.step("Retrieving the images", min(1.0, len(self._folder) / total) if total else None)
+            dataset = event.dataset
+            if str(dataset.get("SeriesInstanceUID") or "") != self._series_uid:
+                return 0xA900  # an image that was not requested
+            sop_uid, syntax = str(dataset.SOPInstanceUID), str(event.context.transfer_syntax)
+            content = event.encoded_dataset(include_meta=False)
+            self._folder.add(sop_uid, part10(str(dataset.SOPClassUID), sop_uid, syntax, content))
+            self.num_received += 1
+        except BaseException as error:
+            self._problem = error
+            return 0xA700
+        return 0x0000
+
+    def has_problem(self) -> bool:
+        """Return whether the retrieval has to stop."""
+        if self._problem is None:
+            try:
+                self._watch.step("Retrieving the images")
+            except CarinaError as error:
+                self._problem = error
+        return self._problem is not None
+
+    def raise_problem(self) -> None:
+        """Raise the first problem, if there was one."""
+        if self._problem is not None:
+            raise self._problem
+
+
+def _query(level: str, **keys: str) -> Dataset:
+    query = Dataset()
+    query.QueryRetrieveLevel = level
+    for keyword, value in keys.items():
+        setattr(query, keyword, value)
+    return query
+
+
+def _code_text(code: int | None) -> str:
+    return "no answer" if code is None else f"status {code:04X}"

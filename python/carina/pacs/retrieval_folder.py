@@ -1,0 +1,109 @@
+"""Folder of a retrieval: images are collected in a hidden folder that gets its name only when the series is complete.
+
+An interrupted retrieval therefore never opens as a whole series, and continues with the images that are missing.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import shutil
+from pathlib import Path
+
+from pydicom.dataset import FileMetaDataset
+from pydicom.filebase import DicomBytesIO
+from pydicom.filewriter import write_file_meta_info
+from pydicom.uid import PYDICOM_IMPLEMENTATION_UID, UID
+
+from carina.disk import disk_trouble, make_folder, sync_folder, write_whole
+from carina.errors import PacsError, UsageError
+
+__all__ = ["RetrievalFolder", "part10"]
+
+_MIN_FREE_BYTES = 512 << 20
+
+
+class RetrievalFolder:
+    """The images of one series that have arrived.
+
+    Parameters
+    ----------
+    folder
+        Folder to create when the series is complete; it must not exist.
+    series_uid
+        UID of the series; the hidden folder of another series is not continued.
+
+    Raises
+    ------
+    UsageError
+        ``pacs.folder``: the folder exists.
+    """
+
+    def __init__(self, folder: Path, series_uid: str) -> None:
+        if os.path.lexists(folder):
+            raise UsageError(f"pacs: {folder} exists; name a new folder", code="pacs.folder")
+        self.target = folder
+        mark = hashlib.sha256(series_uid.encode()).hexdigest()[:12]
+        self._part = folder.with_name(f".{folder.name[:80]}.{mark}.incomplete")
+        make_folder(self._part, what="the images", private=True)
+        self._names = {path.name for path in self._part.iterdir() if path.suffix == ".dcm"}
+        self.num_resumed = len(self._names)
+
+    @staticmethod
+    def _name(sop_uid: str) -> str:
+        return f"{hashlib.sha256(sop_uid.encode()).hexdigest()[:32]}.dcm"
+
+    def __contains__(self, sop_uid: str) -> bool:
+        """Return whether an image has arrived."""
+        return self._name(sop_uid) in self._names
+
+    def __len__(self) -> int:
+        """Return the number of images that have arrived."""
+        return len(self._names)
+
+    def add(self, sop_uid: str, content: bytes) -> None:
+        """Store an image; it is complete on the disk or absent.
+
+        Raises
+        ------
+        DiskError
+            If the disk is full or cannot be written.
+        """
+        if shutil.disk_usage(self._part).free < max(_MIN_FREE_BYTES, 2 * len(content)):
+            raise PacsError(
+                f"storing the images: the disk of {self.target} is almost full; free some space and retrieve again",
+                code="pacs.disk-full",
+            )
+        name = self._name(sop_uid)
+        write_whole(self._part / name, content, what="an image", private=True)
+        self._names.add(name)
+
+    def complete(self) -> None:
+        """Give the folder its name.
+
+        Raises
+        ------
+        DiskError
+            If the folder cannot be renamed.
+        """
+        try:
+            self._part.rename(self.target)
+            sync_folder(self.target.parent)
+        except OSError as error:
+            raise disk_trouble(error, "cannot create the folder", self.target) from None
+
+    def discard_if_empty(self) -> None:
+        """Remove the hidden folder if no image has arrived."""
+        if not self._names:
+            shutil.rmtree(self._part, ignore_errors=True)
+
+
+def part10(sop_class: str, sop_uid: str, syntax: str, dataset: bytes) -> bytes:
+    """Return the file of an encoded data set: preamble, file meta information and the data set as it was received."""
+    meta = FileMetaDataset()
+    meta.MediaStorageSOPClassUID, meta.MediaStorageSOPInstanceUID = UID(sop_class), UID(sop_uid)
+    meta.TransferSyntaxUID, meta.ImplementationClassUID = UID(syntax), PYDICOM_IMPLEMENTATION_UID
+    head = DicomBytesIO()
+    head.write(bytes(128) + b"DICM")
+    write_file_meta_info(head, meta, enforce_standard=True)
+    return head.getvalue() + dataset
