@@ -95,7 +95,7 @@ def test_task_whose_segment_the_case_lacks_is_refused(carina, ct, flight, absent
 
 
 def test_unknown_task_and_task_file_with_an_error_are_refused(carina, ct, flight, tmp_path):
-    assert "expected one of find-lb6" in carina("score", flight, ct, "--task", "fly").err
+    assert "expected one of ebus-landmarks" in carina("score", flight, ct, "--task", "fly").err
     own = tmp_path / "own.json"
     own.write_text('{"format": "carina-task", "version": 1, "name": "own", "title": "Own", "kind": "find"}')
     ended = carina("score", flight, ct, "--task", own)

@@ -21,6 +21,7 @@ from carina.commands import (
     FlightFileQuery,
     NextQuestion,
     OpenPath,
+    PauseTask,
     RecordFlight,
     RepeatQuestion,
     ScoreFlight,
@@ -36,6 +37,7 @@ from carina.commands import (
     TrainingOf,
 )
 from carina.errors import CarinaError, NoResultError, UsageError
+from carina.navigate import HandleSample, open_recording
 from carina.scopes import scope_preset
 from carina.session import CaseRecords, Session, UserMessage, case_files, default_parts
 from carina.session.open_case.open_case import OpenCase
@@ -198,6 +200,55 @@ def test_task_ends_at_its_time_limit(workstation, monkeypatch):
     assert (score.completed, score.doubts) == (False, ())
 
 
+def test_pause_stops_clock_and_tip_and_the_attempt_does_not_count(workstation, chest, tmp_path):
+    session = workstation.session
+    workstation.start("inspect-all")
+    session.devices.receive_sample("handle", HandleSample(0.5, 0.0, 0.0, 0.0))
+    session.devices.frame()
+    workstation.advance_tip(20.0)
+    session.do(PauseTask(True))
+    before = session.pose_info().pose
+    session.do(Steer(5.0, 0.0, 0.0, 0.0))
+    session.devices.receive_sample("handle", HandleSample(1.0, 30.0, 0.0, 0.0))
+    session.devices.frame()
+    assert workstation.follow(30.0)
+    running = workstation.info.running
+    assert (running.paused, running.elapsed_s) == (True, 1.0)
+    assert session.pose_info().pose is before
+    session.do(PauseTask(False))
+    # The first sample after the pause is the new origin of the handle.
+    session.devices.receive_sample("handle", HandleSample(32.0, 40.0, 0.0, 0.0))
+    session.devices.frame()
+    assert np.array_equal(session.pose_info().pose.position_lps, before.position_lps)
+    workstation.advance_tip(20.0)
+    assert workstation.info.running.elapsed_s == pytest.approx(2.0)
+    session.do(StopTask())
+    (score,) = workstation.scored()
+    assert score.published.time_s == pytest.approx(2.0, abs=0.11)
+    assert score.unmarked.path_mm == pytest.approx(40.0, abs=3.0)
+    assert score.doubts == ("the attempt was paused once, for 30 s in total",)
+    # The recording has the same times, and a replay passes the pause without a jump.
+    path = tmp_path / "flight.jsonl"
+    path.write_text(workstation.text_of(score.flight), encoding="utf-8")
+    recording = open_recording(path)
+    assert recording.pauses == ((pytest.approx(1.0), pytest.approx(30.0)),)
+    assert recording.length_s == pytest.approx(2.0, abs=0.01)
+    assert all(same for _, same in recording.replay(chest[0], wall=chest[2]))
+
+
+def test_attempt_that_is_ended_during_a_pause_releases_the_tip(workstation):
+    workstation.start("inspect-all")
+    workstation.advance_tip(10.0)
+    workstation.session.do(PauseTask(True))
+    workstation.clock.advance(5.0)
+    workstation.session.do(StopTask())
+    (score,) = workstation.scored()
+    assert score.doubts == ("the attempt was paused once, for 5 s in total",)
+    before = workstation.session.pose_info().pose
+    workstation.session.do(Steer(2.0, 0.0, 0.0, 0.0))
+    assert workstation.session.pose_info().pose is not before
+
+
 @pytest.mark.parametrize(
     ("end", "reason"),
     [
@@ -222,7 +273,7 @@ def test_task_is_refused_during_a_recording_and_in_an_unsuitable_case(workstatio
     with pytest.raises(UsageError, match="a recording is running; stop it first"):
         workstation.session.do(StartTask("inspect-all"))
     workstation.session.do(StopRecording())
-    with pytest.raises(UsageError, match=r"task: expected one of find-lb6"):
+    with pytest.raises(UsageError, match=r"task: expected one of ebus-landmarks"):
         workstation.session.do(StartTask("no-such-task"))
     other = dataclasses.replace(find_task("hold-rul"), structure="No such branch")
     monkeypatch.setattr("carina.session.training.attempts.find_task", lambda _name: other)

@@ -20,6 +20,15 @@ class StartTask(Command, frozen=True):
     """Name of a built-in task."""
 
 
+class PauseTask(Command, frozen=True):
+    """Pause the attempt, or continue it: the clock stops and the tip does not move; nothing without an attempt.
+
+    A paused attempt is scored, but does not count in a verdict.
+    """
+
+    paused: bool
+
+
 class StopTask(Command, frozen=True):
     """End the attempt, and score its flight; nothing happens if no task is running."""
 
@@ -38,10 +47,11 @@ class StartQuiz(Command, frozen=True):
     The command is a job if the wall of the airways must be computed first.
     """
 
-    kind: Literal["name-opening", "where-are-you"]
+    kind: Literal["name-opening", "where-are-you", "slices"]
     """Kind of the questions.
 
     ``name-opening``: name the segment behind the opening in the middle. ``where-are-you``: name the segment of the tip.
+    ``slices``: choose the opening that leads to the place where the three slices meet.
     """
     seed: Annotated[int, Meta(ge=0, le=2**31)] = 0
     """Seed of the questions and of their order."""

@@ -1,6 +1,7 @@
 """Training: tasks, and the published scores of recorded flights."""
 
 from carina.training.attempt_checks import AttemptDoubt
+from carina.training.course import Course, CourseAttempt, Learner, learner_files
 from carina.training.events import FlightEvent
 from carina.training.flight_frames import FlightFrames, flight_frames
 from carina.training.log_files import events_csv, flight_log, poses_csv, scores_csv, write_flight_log, xapi_statements
@@ -18,9 +19,12 @@ __all__ = [
     "SEGMENTS",
     "AttemptDoubt",
     "CaseSegment",
+    "Course",
+    "CourseAttempt",
     "FlightEvent",
     "FlightFrames",
     "FlightScorer",
+    "Learner",
     "Mastery",
     "QuizKind",
     "QuizQuestion",
@@ -34,6 +38,7 @@ __all__ = [
     "flight_frames",
     "flight_log",
     "judge_mastery",
+    "learner_files",
     "poses_csv",
     "quiz_questions",
     "score_flight",

@@ -104,7 +104,8 @@ function ScoreContent({ score }: { score: FlightScore }) {
         </div>
       </div>
       <Segments title="Seen" names={score.seen} />
-      <Segments title="Not seen" names={score.not_seen} />
+      {/* A task other than an inspection does not ask for the other segments. */}
+      {score.is_inspection ? <Segments title="Not seen" names={score.not_seen} /> : null}
       <Segments title="Not in this case" names={score.absent} />
       {score.is_inspection && verdict !== null ? <p>{sentence(verdict)}</p> : null}
       {score.notes.map((words) => (

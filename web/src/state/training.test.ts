@@ -31,6 +31,7 @@ const RUNNING: RunningTask = {
   next_step: "RB2",
   message: null,
   is_warning: false,
+  paused: false,
 };
 const SCORE: FlightScore = {
   flight: 3,

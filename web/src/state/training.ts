@@ -33,11 +33,12 @@ export const hidesNames = (state: AppState): boolean =>
 /** Return the running quiz; null without one. */
 export const quizOf = ({ training }: AppState): QuizInfo | null => training?.quiz ?? null;
 
-/** Return what the window shows during an attempt or a quiz: the airway view alone or with the tree; null otherwise. */
-export function trainingLayout(state: AppState): "alone" | "with-tree" | undefined {
+/** Return what the window shows during an attempt or a quiz beside the airway view; undefined without one. */
+export function trainingLayout(state: AppState): "alone" | "with-tree" | "with-slices" | undefined {
   const attempt = attemptOf(state);
   if (attempt !== null) return attempt.task.tree_shown ? "with-tree" : "alone";
-  return quizOf(state) === null ? undefined : "alone";
+  const quiz = quizOf(state);
+  return quiz === null ? undefined : quiz.kind === "slices" ? "with-slices" : "alone";
 }
 
 /** Largest difference of a number of two poses that are the same, mm or without unit. */
@@ -49,8 +50,13 @@ export function isAtQuestion({ pose }: AppState, quiz: QuizInfo): boolean {
 }
 
 /** Return the question of a quiz as text. */
-export const questionText = ({ kind }: QuizInfo): string =>
-  kind === "name-opening" ? "Which segment is behind the opening in the middle?" : "In which segment is the tip?";
+export const questionText = ({ kind }: QuizInfo): string => QUESTIONS[kind];
+
+const QUESTIONS: Readonly<Record<QuizInfo["kind"], string>> = {
+  "name-opening": "Which segment is behind the opening in the middle?",
+  "where-are-you": "In which segment is the tip?",
+  slices: "The three slices meet in a bronchus beyond this fork. Which opening leads there?",
+};
 
 /** Return whether the answer to the present question is right, as text; null before the answer. */
 export function answerText({ given, answer }: QuizInfo): string | null {

@@ -720,6 +720,14 @@ export interface StartTaskMessage {
   readonly task: string;
 }
 
+/** Pause the attempt, or continue it: the clock stops and the tip does not move; nothing without an attempt.
+
+    A paused attempt is scored, but does not count in a verdict. */
+export interface PauseTaskMessage {
+  readonly type: "pause_task";
+  readonly paused: boolean;
+}
+
 /** End the attempt, and score its flight; nothing happens if no task is running. */
 export interface StopTaskMessage {
   readonly type: "stop_task";
@@ -737,7 +745,7 @@ export interface ScoreFlightMessage {
     The command is a job if the wall of the airways must be computed first. */
 export interface StartQuizMessage {
   readonly type: "start_quiz";
-  readonly kind: "name-opening" | "where-are-you";
+  readonly kind: "name-opening" | "slices" | "where-are-you";
   readonly seed?: number;
   readonly num?: number;
 }
@@ -1916,11 +1924,12 @@ export interface RunningTask {
   readonly next_step: string | null;
   readonly message: string | null;
   readonly is_warning: boolean;
+  readonly paused: boolean;
 }
 
 /** A running quiz: its present question, and the answers so far. */
 export interface QuizInfo {
-  readonly kind: "name-opening" | "where-are-you";
+  readonly kind: "name-opening" | "slices" | "where-are-you";
   readonly number: number;
   readonly num_questions: number;
   readonly choices: readonly string[];
@@ -2375,6 +2384,7 @@ export type ClientMessage =
   | MapLungsMessage
   | MapReachMessage
   | StartTaskMessage
+  | PauseTaskMessage
   | StopTaskMessage
   | ScoreFlightMessage
   | StartQuizMessage

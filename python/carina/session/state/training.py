@@ -43,6 +43,8 @@ class RunningTask(FrozenValue, frozen=True):
     """The latest event of the flight, for a few seconds."""
     is_warning: bool = False
     """Whether the message reports a fault, such as a wrong branch or a contact with the wall."""
+    paused: bool = False
+    """Whether the attempt is paused: the clock stands still, and the tip does not move."""
 
 
 class ScoreMoment(FrozenValue, frozen=True):
@@ -121,7 +123,7 @@ class ReferenceScores(FrozenValue, frozen=True):
 class QuizInfo(FrozenValue, frozen=True):
     """A running quiz: its present question, and the answers so far."""
 
-    kind: Literal["name-opening", "where-are-you"]
+    kind: Literal["name-opening", "where-are-you", "slices"]
     number: Count
     """Number of the present question, from 1."""
     num_questions: Count

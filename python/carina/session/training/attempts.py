@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from carina import commands as c
+from carina.case.document import Document
 from carina.case.scope_choice import document_with_scope
 from carina.errors import NoResultError, UsageError
 from carina.navigate import FlightPath
@@ -26,6 +27,7 @@ from carina.session.open_case.open_case import OpenCase, as_point
 from carina.session.state.snapshot import UserMessage
 from carina.session.state.training import TaskInfo, TrainingInfo
 from carina.session.training.live_attempt import LiveAttempt
+from carina.session.training.planned_tasks import planned_task
 from carina.session.training.quizzes import QuizHandlers
 from carina.session.training.scores import flight_score, references, task_infos, verdict_words
 from carina.track import Airways, AirwayTree
@@ -83,7 +85,7 @@ class TrainingHandlers(CommandHandlers):
         self._recorder = recorder
         self._text = text
         self._state: _CaseTraining | None = None
-        self._suitable: Cached[AirwayTree | None, tuple[TaskInfo, ...]] = Cached(task_infos)
+        self._suitable: Cached[Document, tuple[TaskInfo, ...]] = Cached(task_infos, same=_same_tasks)
 
     def _of(self, case: OpenCase) -> _CaseTraining:
         """Return the attempt and the scores of a case; the caller holds the session's lock."""
@@ -101,12 +103,13 @@ class TrainingHandlers(CommandHandlers):
         ------
         NoResultError
             ``training.no-airways``: without airways. ``training.no-branch``, ``training.turns``,
-            ``training.no-segments``: if the case is unsuitable for the task.
+            ``training.no-segments``, ``training.no-plan``: if the case is unsuitable for the task.
         UsageError
             ``session.recording``: if a recording is running, or if the case is not stored.
         """
         case, task = self.core.needed_case(), find_task(command.task)
         with self.core.lock:
+            task = planned_task(task, case.document)
             airways = case.document.airways
             if airways is None:
                 raise NoResultError("a task needs the airways: wait for the search", code="training.no-airways")
@@ -155,6 +158,34 @@ class TrainingHandlers(CommandHandlers):
         )
         self.core.changed("training", "flights", "state", "pose", "views")
         threading.Thread(target=self._watch, args=(case, attempt), name="carina-attempt", daemon=True).start()
+
+    @does(c.PauseTask)
+    def pause(self, command: c.PauseTask) -> None:
+        """Pause the attempt, or continue it; do nothing without an attempt."""
+        with self.core.lock:
+            case = self.core.needed_case()
+            attempt = self._of(case).attempt
+            if attempt is None or attempt.is_paused == command.paused:
+                return
+            if command.paused:
+                # The time before the pause belongs to the attempt.
+                attempt.sample(case.navigator.pose, self.core.clock())
+                attempt.pause(self.core.clock())
+                self._recorder.pause()
+                self.core.tip_held = True
+            else:
+                attempt.resume(self.core.clock())
+                self._release_tip(case)
+            self.core.changed("training")
+
+    def _release_tip(self, case: OpenCase) -> None:
+        """Let the tip move again after a pause; the caller holds the session's lock."""
+        if self.core.tip_held:
+            self._recorder.resume()
+            self.core.tip_held = False
+            # A device that has moved during the pause continues from its new position, without a jump of the tip.
+            for device in case.pilot.devices():
+                case.pilot.apply(c.DeviceGone(device.device))
 
     @does(c.StopTask)
     def stop(self, _command: c.StopTask) -> None:
@@ -217,6 +248,7 @@ class TrainingHandlers(CommandHandlers):
         """End an attempt, and score its flight; the caller holds the session's lock."""
         self._of(case).attempt = None
         attempt.ended.set()
+        self._release_tip(case)
         if self._recorder.flight_number == attempt.flight:
             self._recorder.note_task_end(outcome)
             self._recorder.stop()
@@ -234,6 +266,7 @@ class TrainingHandlers(CommandHandlers):
     def discard(self) -> None:
         """Release attempt and scores, because their case is being closed; the caller holds the session's lock."""
         self._state = None
+        self.core.tip_held = False
 
     # ------------------------------------------------------------ scores
 
@@ -252,6 +285,7 @@ class TrainingHandlers(CommandHandlers):
         case = self.core.needed_case()
         task = None if command.task is None else find_task(command.task)
         with self.core.lock:
+            task = None if task is None else planned_task(task, case.document)
             flight = needed_flight(case, command.number)
             if running_flight(case) == command.number:
                 raise UsageError(f"{flight.name} is still being recorded; stop it first", code="session.flights")
@@ -306,8 +340,8 @@ class TrainingHandlers(CommandHandlers):
         if case is None:
             return TrainingInfo()
         with self.core.lock:
-            airways, state = case.document.airways, self._of(case)
-            tasks = self._suitable.of(None if airways is None else airways.tree)
+            state = self._of(case)
+            tasks = self._suitable.of(case.document)
             numbers = [one.recording_id for one in case.flights.listed]
             listed = [(number, state.scores[number]) for number in numbers if number in state.scores]
             quiz = self._quizzes.info_of(case)
@@ -327,3 +361,8 @@ def entry_way(tree: AirwayTree) -> tuple[tuple[float, float, float], ...]:
     children = [one for one in tree.branches if one.parent == tree.root.id]
     end = max(children, key=lambda one: one.length_mm, default=tree.root).id
     return tuple(as_point(point) for point in tree.route_to(end).points_lps)
+
+
+def _same_tasks(a: Document, b: Document) -> bool:
+    """Return whether two documents suit the same tasks."""
+    return a.airways is b.airways and a.route is b.route and a.targets is b.targets

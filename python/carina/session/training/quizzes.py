@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+import msgspec
+
 from carina import commands as c
 from carina.errors import NoResultError, UsageError
 from carina.scopes import WallField
@@ -82,7 +84,11 @@ class QuizHandlers(CommandHandlers):
 
     def _ask(self) -> None:
         assert self._quiz is not None
-        self.core.fly(place_pose(self._quiz.questions[self._quiz.at].pose))
+        question = self._quiz.questions[self._quiz.at]
+        self.core.fly(place_pose(question.pose))
+        place = question.place_lps
+        if place is not None:
+            self.core.see(self._quiz.case, lambda sight: msgspec.structs.replace(sight, crosshair_lps=place))
         self.core.changed("training")
 
     @does(c.AnswerQuiz)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from carina.case.document import Document
 from carina.errors import CarinaError
 from carina.session.state.training import (
     FlightScore,
@@ -13,6 +14,7 @@ from carina.session.state.training import (
     TaskInfo,
     UnmarkedMeasures,
 )
+from carina.session.training.planned_tasks import planned_task
 from carina.track import AirwayTree
 from carina.training import (
     REFERENCE_GROUPS,
@@ -37,10 +39,11 @@ _FAULT_WORDS = {
 }
 
 
-def task_infos(tree: AirwayTree | None) -> tuple[TaskInfo, ...]:
+def task_infos(document: Document) -> tuple[TaskInfo, ...]:
     """Return the built-in tasks, the easiest first, each with the reason why a case is unsuitable for it."""
+    tree = None if document.airways is None else document.airways.tree
     tasks = sorted(map(find_task, task_names()), key=lambda task: (LEVELS.index(task.level), task.name))
-    return tuple(_task_info(task, tree) for task in tasks)
+    return tuple(_task_info(planned_task(task, document), tree) for task in tasks)
 
 
 def _task_info(task: Task, tree: AirwayTree | None) -> TaskInfo:

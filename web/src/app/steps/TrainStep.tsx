@@ -1,4 +1,5 @@
 import { useEffect, useState } from "react";
+import { keyOf } from "../../input/keymap";
 import { fixed, sentence } from "../../state/format";
 import { clock } from "../../state/playing";
 import {
@@ -94,6 +95,13 @@ function Quizzes() {
           testId="quiz-where-are-you"
           onPress={() => station.startQuiz("where-are-you")}
         />
+        <Act
+          label="Three slices"
+          words="Which opening of the fork leads to the place where three slices meet?"
+          disabled={!ready}
+          testId="quiz-slices"
+          onPress={() => station.startQuiz("slices")}
+        />
       </div>
     </>
   );
@@ -128,10 +136,10 @@ function RunningQuiz({ quiz }: { quiz: QuizInfo }) {
       <p role="status" className={quiz.given === quiz.answer ? undefined : "warning-text"} data-testid="quiz-answer">
         {answer ?? ""}
       </p>
-      {moved ? (
+      {moved || quiz.kind === "slices" ? (
         <Act
           label="Back to the question"
-          words="Place the tip again where the question was asked"
+          words="Place the tip and the slices again where the question was asked"
           testId="quiz-back"
           onPress={() => station.send({ type: "repeat_question" })}
         />
@@ -174,6 +182,18 @@ function RunningAttempt({ attempt }: { attempt: Attempt }) {
         <p className="quiet">Done: {attempt.running.steps_done.join(", ")}</p>
       )}
       <Act
+        icon={attempt.running.paused ? "play" : "pause"}
+        label={attempt.running.paused ? "Continue" : "Pause"}
+        words={
+          attempt.running.paused
+            ? "Continue the attempt: the clock runs again"
+            : "Pause: the clock stops and the tip does not move. A paused attempt is scored, but does not count."
+        }
+        keys={keyOf("pause_task")}
+        testId="pause-task"
+        onPress={station.pauseTask}
+      />
+      <Act
         kind="primary"
         icon="stop"
         label="End the task"
@@ -201,7 +221,8 @@ function AttemptClock({ attempt }: { attempt: Attempt }) {
     const timer = setInterval(() => setNowMs(performance.now()), CLOCK_MS);
     return () => clearInterval(timer);
   }, []);
-  const elapsedS = running.elapsed_s + Math.max(nowMs - since.atMs, 0) / 1000;
+  const sinceMs = running.paused ? 0 : Math.max(nowMs - since.atMs, 0);
+  const elapsedS = running.elapsed_s + sinceMs / 1000;
   return (
     <p className="attempt-clock numbers" data-testid="attempt-clock">
       {timeText(attempt, elapsedS)}
