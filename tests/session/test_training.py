@@ -2,25 +2,20 @@
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
 import gc
 import threading
-import time
-from pathlib import Path
 
 import numpy as np
 import pytest
+from training_workstation import Workstation, flights, until
 
 import carina
 from cached_test_data import MASKED_CHEST, cached_airways, cached_phantom
-from carina.case.recordings import RecordingFacts
 from carina.commands import (
     AnswerQuiz,
     CloseCase,
-    FlightFileQuery,
     NextQuestion,
-    OpenPath,
     PauseTask,
     RecordFlight,
     RepeatQuestion,
@@ -34,19 +29,16 @@ from carina.commands import (
     StopQuiz,
     StopRecording,
     StopTask,
-    TrainingOf,
 )
-from carina.errors import CarinaError, NoResultError, UsageError
+from carina.errors import NoResultError, UsageError
 from carina.navigate import HandleSample, open_recording
 from carina.scopes import scope_preset
-from carina.session import CaseRecords, Session, UserMessage, case_files, default_parts
 from carina.session.open_case.open_case import OpenCase
 from carina.session.training import attempts
 from carina.session.training.attempts import TrainingHandlers, entry_way
 from carina.session.training.live_attempt import LiveAttempt
 from carina.training import FlightEvent, find_task
 from carina.training.flight_frames import FlightOptics
-from small_case import Clock, SmallRenderer
 
 
 @pytest.fixture(scope="module")
@@ -55,95 +47,11 @@ def chest():
     return volume, airways, carina.wall_field(volume, airways, spacing_mm=0.6, progress=False)
 
 
-class Workstation:
-    """Session with an open chest, whose attempts are followed by the test instead of a thread."""
-
-    def __init__(self, folder: Path, chest, monkeypatch) -> None:
-        volume, airways, wall = chest
-        self.clock = Clock()
-        self.attempts = []
-        monkeypatch.setattr(TrainingHandlers, "_watch", lambda handlers, *what: self.attempts.append((handlers, what)))
-        records = CaseRecords(folder / "cases", time.time)
-        self.session = Session(
-            SmallRenderer,
-            parts=dataclasses.replace(
-                default_parts(),
-                measure_tree=None,
-                open_volume=lambda _path, _progress, _cancel: volume,
-                find_airways=lambda _volume, **_options: airways,
-                wall_field=lambda *_what, **_options: wall,
-            ),
-            clock=self.clock,
-            records=records,
-            files=case_files(None, records),
-        )
-        self.messages = []
-        self.session.subscribe(lambda event: self.messages.append(event) if isinstance(event, UserMessage) else None)
-        self.session.do(OpenPath(str(folder)))
-        until(lambda: self.session.snapshot().airways == "found")
-        until(lambda: self.session.snapshot().saving.keeps)
-
-    @property
-    def info(self):
-        return self.session.ask(TrainingOf())
-
-    def text_of(self, number: int) -> str:
-        """Return the lines of a flight, however long a busy machine takes to write them."""
-        found = []
-
-        def is_written() -> bool:
-            # The query fails if the disk has not responded within its limit.
-            with contextlib.suppress(CarinaError):
-                found.append(self.session.ask(FlightFileQuery(number)))
-            return bool(found)
-
-        until(is_written)
-        return found[0]
-
-    def scored(self, num: int = 1):
-        """Return the scores, once there are so many and no attempt runs."""
-        until(lambda: len(self.info.scores) >= num and self.info.running is None)
-        return self.info.scores
-
-    def start(self, task: str):
-        num = len(self.attempts)
-        self.session.do(StartTask(task))
-        until(lambda: len(self.attempts) > num)
-
-    def follow(self, seconds: float) -> bool:
-        """Let time pass, and follow the newest attempt; return whether it continues."""
-        handlers, (case, attempt) = self.attempts[-1]
-        for _ in range(round(seconds / 0.1)):
-            self.clock.advance(0.1)
-            if not handlers.follow_attempt(case, attempt):
-                return False
-        return True
-
-    def advance_tip(self, millimetres: float) -> None:
-        """Insert the scope evenly at 20 mm/s, followed at each step."""
-        for _ in range(round(millimetres / 2.0)):
-            self.session.do(Steer(2.0, 0.0, 0.0, 0.0))
-            if not self.follow(0.1):
-                return
-
-
-def until(condition, seconds=120.0):
-    """Wait for a condition of another thread."""
-    end = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < end
-        time.sleep(0.005)
-
-
 @pytest.fixture
 def workstation(tmp_path, chest, monkeypatch):
     made = Workstation(tmp_path, chest, monkeypatch)
     yield made
     made.session.close()
-
-
-def flights(workstation) -> tuple[RecordingFacts, ...]:
-    return workstation.session.snapshot().flights
 
 
 def test_task_inserts_the_scope_records_the_flight_and_is_scored_when_the_user_ends_it(workstation):

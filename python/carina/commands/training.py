@@ -41,6 +41,24 @@ class ScoreFlight(Command, frozen=True):
     """Name of a built-in task; null takes the task that the flight states, or else the inspection of all segments."""
 
 
+class AddLearner(Command, frozen=True):
+    """Add a learner to the course of this machine by a pseudonym, and choose this learner."""
+
+    name: OwnName
+
+
+class ChooseLearner(Command, frozen=True):
+    """Choose the learner whose scored attempts are stored from now on; null stores no attempts."""
+
+    name: OwnName | None
+
+
+class RemoveLearner(Command, frozen=True):
+    """Delete a learner with all stored attempts; the flights in cases remain."""
+
+    name: OwnName
+
+
 class StartQuiz(Command, frozen=True):
     """Begin a quiz on the open case: place the tip for the first question.
 

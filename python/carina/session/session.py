@@ -41,9 +41,11 @@ from carina.session.targets.planning import PlanHandlers
 from carina.session.targets.routing import RouteHandlers
 from carina.session.targets.target_edits import TargetHandlers
 from carina.session.training.attempts import TrainingHandlers
+from carina.session.training.course import CourseHandlers
 from carina.session.training.quizzes import QuizHandlers
 from carina.session.view.look import LookHandlers
 from carina.session.view.questions import CaseQuestions
+from carina.training import Course
 
 A = TypeVar("A")
 
@@ -71,6 +73,8 @@ class Session:
     records, files
         Registry of the stored cases, and the functions that create and open their files; if either is None, the
         session stores no case.
+    course
+        Files of the learners of the training; None stores no learners.
 
     Notes
     -----
@@ -91,6 +95,7 @@ class Session:
         today: Callable[[], str] = lambda: time.strftime("%Y-%m-%d"),
         records: CaseRecords | None = None,
         files: CaseFileFunctions | None = None,
+        course: Course | None = None,
     ) -> None:
         core = SessionCore(
             renderer_factory,
@@ -110,7 +115,8 @@ class Session:
         self._cases = CaseList(core, self._saving, recording.stop)
         core.saving = lambda: self._saving.info
         quizzes = QuizHandlers(core)
-        training = TrainingHandlers(core, recording, quizzes, self._saving.flight_text)
+        self._course = CourseHandlers(core, course)
+        training = TrainingHandlers(core, recording, quizzes, self._course, self._saving.flight_text)
         opening = CaseOpener(core, finding, recording, holding, self._saving)
         # Order: a recording stores its time before other updates; packed airways are unpacked before other code reads
         # them.
@@ -127,7 +133,7 @@ class Session:
             SecondCtHandlers(core, self._saving),
             finding, editing, keys, recording,
             FlightHandlers(core, self._saving.flight_text), FilmHandlers(core, self._saving.flight_text),
-            training, quizzes,
+            training, quizzes, self._course,
             VerdictDriveHandlers(core),
             self._devices, holding, self._saving, self._cases, CaseQuestions(core),
             ObserverHandlers(core, finding, holding, self._saving),

@@ -7,6 +7,7 @@ import { LEAD_VIEW } from "../wire/views";
 import { AirwayStage } from "./AirwayStage";
 import { BranchList } from "./BranchList";
 import { ContinuedBar } from "./ContinuedBar";
+import { CourseDialog } from "./CoursePanel";
 import { useApp } from "./context";
 import { DevicePanel } from "./DevicePanel";
 import { FilmDialog } from "./FilmDialog";
@@ -77,6 +78,7 @@ export function WorkstationPage() {
       <SaveDialog />
       <FilmDialog />
       <ScoreDialog />
+      <CourseDialog />
       <TargetComparisonDialog />
       <Guide />
     </div>

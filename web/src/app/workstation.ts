@@ -15,6 +15,7 @@ import {
   fetchFlight,
   fetchFlightLog,
   fetchKeyFrames,
+  fetchLearner,
   fetchPlan,
   planAddress,
 } from "../net/download";
@@ -392,6 +393,11 @@ export class Workstation implements Station {
   /** Download the log of a scored flight. */
   async takeFlightLog(number: number): Promise<void> {
     await this.#take(() => fetchFlightLog(number, AbortSignal.timeout(DOWNLOAD_WITHIN_MS)));
+  }
+
+  /** Download the stored attempts of a learner. */
+  async takeLearner(name: string): Promise<void> {
+    await this.#take(() => fetchLearner(name, AbortSignal.timeout(DOWNLOAD_WITHIN_MS)));
   }
 
   /** Write the named file of the case; open the save dialog if the case has no named file. */

@@ -134,6 +134,8 @@ export interface Ui {
   readonly comparisonOpen: boolean;
   /** Number of the flight whose score is shown; null if the dialog is closed. */
   readonly openScore: number | null;
+  /** Whether the dialog with the learning curves of the chosen learner is open. */
+  readonly courseOpen: boolean;
   /** Number of the flight of the attempt that has just ended, until its score is known. */
   readonly awaitedScore: number | null;
   /** Whether the dialog with all cases and their disk usage is open. */
@@ -332,6 +334,7 @@ export const INITIAL_STATE: AppState = {
     saveOpen: false,
     comparisonOpen: false,
     openScore: null,
+    courseOpen: false,
     awaitedScore: null,
     storageOpen: false,
     continuedReadS: null,
@@ -575,6 +578,7 @@ function sessionChanged(state: AppState, session: StateMessage): AppState {
         saveOpen: false,
         comparisonOpen: false,
         openScore: null,
+        courseOpen: false,
         awaitedScore: null,
         tourAt: null,
         step: "open",

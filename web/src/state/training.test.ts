@@ -59,6 +59,7 @@ const message = (parts: Partial<TrainingMessage>): TrainingMessage => ({
   scores: [],
   verdict: null,
   references: [],
+  course: { stores: false, learners: [], chosen: null, attempts: [], problems: [] },
   ...parts,
 });
 const stateAfter = (...messages: readonly TrainingMessage[]) =>

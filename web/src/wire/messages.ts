@@ -740,6 +740,24 @@ export interface ScoreFlightMessage {
   readonly task?: string | null;
 }
 
+/** Add a learner to the course of this machine by a pseudonym, and choose this learner. */
+export interface AddLearnerMessage {
+  readonly type: "add_learner";
+  readonly name: string;
+}
+
+/** Choose the learner whose scored attempts are stored from now on; null stores no attempts. */
+export interface ChooseLearnerMessage {
+  readonly type: "choose_learner";
+  readonly name: string | null;
+}
+
+/** Delete a learner with all stored attempts; the flights in cases remain. */
+export interface RemoveLearnerMessage {
+  readonly type: "remove_learner";
+  readonly name: string;
+}
+
 /** Begin a quiz on the open case: place the tip for the first question.
 
     The command is a job if the wall of the airways must be computed first. */
@@ -1995,6 +2013,43 @@ export interface ReferenceScores {
   readonly source: string;
 }
 
+/** A learner of the course. */
+export interface LearnerInfo {
+  readonly name: string;
+  readonly num_attempts: number;
+  readonly num_counted: number;
+  readonly mastery: boolean | null;
+  readonly verdict: string;
+}
+
+/** A stored attempt of the chosen learner; the measures are those of `PublishedScores` and `UnmarkedMeasures`. */
+export interface CourseAttemptInfo {
+  readonly number: number;
+  readonly task: string;
+  readonly title: string;
+  readonly is_inspection: boolean;
+  readonly completed: boolean;
+  readonly num_steps_done: number;
+  readonly num_steps: number;
+  readonly counts: boolean;
+  readonly reasons: readonly string[];
+  readonly num_seen: number;
+  readonly num_progressions: number;
+  readonly time_s: number;
+  readonly time_per_segment_s: number | null;
+  readonly num_contacts: number;
+  readonly middle_share: number;
+}
+
+/** The learners of this machine, and the attempts of the chosen one. */
+export interface CourseInfo {
+  readonly stores: boolean;
+  readonly learners: readonly LearnerInfo[];
+  readonly chosen: string | null;
+  readonly attempts: readonly CourseAttemptInfo[];
+  readonly problems: readonly string[];
+}
+
 /** Tasks, the running attempt or quiz, and scores of flights.
 
     Sent after each change, and each second during an attempt. */
@@ -2006,6 +2061,7 @@ export interface TrainingMessage {
   readonly scores: readonly FlightScore[];
   readonly verdict: string | null;
   readonly references: readonly ReferenceScores[];
+  readonly course: CourseInfo;
 }
 
 /** A branch of a `carina-tree` document. */
@@ -2387,6 +2443,9 @@ export type ClientMessage =
   | PauseTaskMessage
   | StopTaskMessage
   | ScoreFlightMessage
+  | AddLearnerMessage
+  | ChooseLearnerMessage
+  | RemoveLearnerMessage
   | StartQuizMessage
   | AnswerQuizMessage
   | NextQuestionMessage

@@ -142,7 +142,9 @@ class SharedTexts:
         """Return the encoded tasks, running attempt and scores of the open case."""
         info = self._session.ask(TrainingOf())
         return wire.encode_message(
-            wire.TrainingMessage(info.tasks, info.running, info.quiz, info.scores, info.verdict, info.references)
+            wire.TrainingMessage(
+                info.tasks, info.running, info.quiz, info.scores, info.verdict, info.references, info.course
+            )
         )
 
     def flights(self) -> str:

@@ -140,6 +140,56 @@ class QuizInfo(FrozenValue, frozen=True):
     """Whether all questions are answered."""
 
 
+class LearnerInfo(FrozenValue, frozen=True):
+    """A learner of the course."""
+
+    name: OwnName
+    """Pseudonym."""
+    num_attempts: Count
+    num_counted: Count
+    """Number of inspections that count in the verdict."""
+    mastery: bool | None
+    """Whether mastery was reached; null with fewer than six attempts that count."""
+    verdict: Words
+
+
+class CourseAttemptInfo(FrozenValue, frozen=True):
+    """A stored attempt of the chosen learner; the measures are those of `PublishedScores` and `UnmarkedMeasures`."""
+
+    number: Count
+    """Number of the attempt, from 1, in the order in which they were stored."""
+    task: OwnName
+    title: Words
+    is_inspection: bool
+    completed: bool
+    num_steps_done: Count
+    num_steps: Count
+    counts: bool
+    """Whether the attempt counts in the verdict on mastery."""
+    reasons: tuple[Words, ...]
+    """Reasons why an inspection does not count."""
+    num_seen: Count
+    num_progressions: Count
+    time_s: float
+    time_per_segment_s: float | None
+    num_contacts: Count
+    middle_share: Part
+
+
+class CourseInfo(FrozenValue, frozen=True):
+    """The learners of this machine, and the attempts of the chosen one."""
+
+    stores: bool = False
+    """Whether this session can store learners."""
+    learners: tuple[LearnerInfo, ...] = ()
+    chosen: OwnName | None = None
+    """Pseudonym of the learner whose attempts are stored; null: attempts are not stored."""
+    attempts: tuple[CourseAttemptInfo, ...] = ()
+    """Attempts of the chosen learner."""
+    problems: tuple[Words, ...] = ()
+    """Files that cannot be read, and scores that could not be stored yet."""
+
+
 class TrainingInfo(FrozenValue, frozen=True):
     """Tasks, the running attempt or quiz, and scores of flights of the open case."""
 
@@ -151,3 +201,4 @@ class TrainingInfo(FrozenValue, frozen=True):
     verdict: Words | None = None
     """Verdict on mastery over the inspections among these flights; null without one."""
     references: tuple[ReferenceScores, ...] = ()
+    course: CourseInfo = CourseInfo()

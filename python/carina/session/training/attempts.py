@@ -26,6 +26,7 @@ from carina.session.jobs.background_jobs import Job
 from carina.session.open_case.open_case import OpenCase, as_point
 from carina.session.state.snapshot import UserMessage
 from carina.session.state.training import TaskInfo, TrainingInfo
+from carina.session.training.course import CourseHandlers
 from carina.session.training.live_attempt import LiveAttempt
 from carina.session.training.planned_tasks import planned_task
 from carina.session.training.quizzes import QuizHandlers
@@ -73,14 +74,22 @@ class TrainingHandlers(CommandHandlers):
         Recorder of flights.
     quizzes
         The quiz on the open case, which an attempt ends.
+    course
+        The learners, to whom scored attempts are stored.
     text
         Returns the lines of a flight by its number; the call may wait for the disk.
     """
 
     def __init__(
-        self, core: SessionCore, recorder: FlightRecorder, quizzes: QuizHandlers, text: Callable[[int], str]
+        self,
+        core: SessionCore,
+        recorder: FlightRecorder,
+        quizzes: QuizHandlers,
+        course: CourseHandlers,
+        text: Callable[[int], str],
     ) -> None:
         super().__init__(core)
+        self._course = course
         self._quizzes = quizzes
         self._recorder = recorder
         self._text = text
@@ -155,6 +164,7 @@ class TrainingHandlers(CommandHandlers):
             flight=flight,
             begun_s=self.core.clock(),
             pose=case.navigator.pose,
+            learner=self._course.chosen,
         )
         self.core.changed("training", "flights", "state", "pose", "views")
         threading.Thread(target=self._watch, args=(case, attempt), name="carina-attempt", daemon=True).start()
@@ -255,7 +265,7 @@ class TrainingHandlers(CommandHandlers):
         if reason is not None:
             self.core.emit(UserMessage(f"the task ended early, and the attempt does not count: {reason}"))
         self.core.changed("training", "flights", "state")
-        self._start_scoring(case, attempt.flight, attempt.task)
+        self._start_scoring(case, attempt.flight, attempt.task, learner=attempt.learner)
 
     def follow(self, case: OpenCase) -> None:
         """End the attempt after a change of the airways; the caller holds the session's lock."""
@@ -291,10 +301,10 @@ class TrainingHandlers(CommandHandlers):
                 raise UsageError(f"{flight.name} is still being recorded; stop it first", code="session.flights")
             if case.document.airways is None:
                 raise NoResultError("a score needs the airways: wait for the search", code="training.no-airways")
-            return self._start_scoring(case, command.number, task)
+            return self._start_scoring(case, command.number, task, learner=self._course.chosen)
 
-    def _start_scoring(self, case: OpenCase, number: int, task: Task | None) -> str:
-        """Start the job that scores a flight; the caller holds the session's lock."""
+    def _start_scoring(self, case: OpenCase, number: int, task: Task | None, *, learner: str | None) -> str:
+        """Start the job that scores a flight, and stores the attempt of a learner; the caller holds the lock."""
         airways = case.document.airways
         waiting = [one.unsaved_part() for one in case.flights.unwritten if one.number == number]
 
@@ -314,6 +324,9 @@ class TrainingHandlers(CommandHandlers):
                 wall_mm = wall.field
             chosen = task_of_flight(recording) if task is None else task
             found = score_flight(airways.tree, wall_mm, flight_frames(recording), chosen, progress=job.progress)
+            # Only a flight that states its task is an attempt.
+            if learner is not None and recording.task is not None:
+                self._course.record(learner, found)
             with self.core.lock:
                 job.check()
                 if self.core.case is not case:
@@ -338,7 +351,8 @@ class TrainingHandlers(CommandHandlers):
         """Return the tasks, the running attempt and the scores."""
         case = self.core.case
         if case is None:
-            return TrainingInfo()
+            with self.core.lock:
+                return TrainingInfo(course=self._course.info())
         with self.core.lock:
             state = self._of(case)
             tasks = self._suitable.of(case.document)
@@ -346,6 +360,7 @@ class TrainingHandlers(CommandHandlers):
             listed = [(number, state.scores[number]) for number in numbers if number in state.scores]
             quiz = self._quizzes.info_of(case)
             running = None if state.attempt is None else state.attempt.info(self.core.clock())
+            course = self._course.info()
         return TrainingInfo(
             tasks=tasks,
             running=running,
@@ -353,6 +368,7 @@ class TrainingHandlers(CommandHandlers):
             scores=tuple(flight_score(number, one) for number, one in listed),
             verdict=verdict_words([one for _, one in listed]),
             references=references(),
+            course=course,
         )
 
 

@@ -40,6 +40,8 @@ class LiveAttempt:
         Time of the beginning on the session's clock.
     pose
         Pose of the tip at the beginning.
+    learner
+        Pseudonym of the learner to whom the score is stored; None stores no score.
     """
 
     def __init__(
@@ -52,7 +54,9 @@ class LiveAttempt:
         flight: int,
         begun_s: float,
         pose: Pose,
+        learner: str | None = None,
     ) -> None:
+        self.learner = learner
         self.task, self.airways, self.flight, self.begun_s = task, airways, flight, begun_s
         self._optics = optics
         self._scorer = FlightScorer(airways.tree, wall, task)

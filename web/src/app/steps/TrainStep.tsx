@@ -14,6 +14,7 @@ import {
   timeText,
 } from "../../state/training";
 import type { FlightScore, QuizInfo, TaskInfo } from "../../wire/messages";
+import { CoursePanel } from "../CoursePanel";
 import { useApp, useStation } from "../context";
 import { Act } from "../controls";
 import { Icon } from "../icons";
@@ -33,6 +34,7 @@ export function TrainStep() {
         Choose a task to fly with a simulated bronchoscope. The flight is recorded in this case and scored by published
         measures.
       </p>
+      <CoursePanel course={training.course} />
       <ScopeSelect />
       <ul className="key-list" aria-label="Tasks" data-testid="tasks">
         {training.tasks.map((task) => (
