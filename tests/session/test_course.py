@@ -9,13 +9,18 @@ from cached_test_data import MASKED_CHEST, cached_airways, cached_phantom
 from carina.commands import (
     AddLearner,
     ChooseLearner,
+    CloseCase,
+    CompareFlight,
     LearnerFiles,
+    MarkExpert,
+    OpenRecent,
     PauseTask,
+    RemoveFlight,
     RemoveLearner,
     ScoreFlight,
     StopTask,
 )
-from carina.errors import DiskError, UsageError
+from carina.errors import DiskError, NoResultError, UsageError
 from carina.session import ErrorEvent
 from carina.training import Course
 from training_workstation import Workstation, flights, until
@@ -110,3 +115,36 @@ def test_deleted_learner_is_not_chosen_any_more(workstation):
     assert (workstation.info.course.learners, workstation.info.course.chosen) == ((), None)
     with pytest.raises(UsageError, match="learner: expected one of none; found 'one'"):
         workstation.session.do(ChooseLearner("one"))
+
+
+def test_flight_is_compared_with_the_flight_that_is_marked_as_the_experts(workstation):
+    session = workstation.session
+    for _ in range(2):
+        fly(workstation)
+    first, second = (one.number for one in flights(workstation))
+    with pytest.raises(NoResultError, match="no flight is marked as the expert's, and no simulated drive exists"):
+        session.do(CompareFlight(second))
+    session.do(MarkExpert(first))
+    assert workstation.info.expert == first
+    with pytest.raises(UsageError, match="this flight is the expert's"):
+        session.do(CompareFlight(first))
+    session.do(CompareFlight(second))
+    until(lambda: workstation.info.scores[1].comparison)
+    assert workstation.info.scores[1].comparison[0].startswith("time: 1 s, expert 1 s")
+    session.do(MarkExpert(second))
+    assert workstation.info.scores[1].comparison == (), "the comparison was with another flight"
+    session.do(RemoveFlight(second))
+    assert workstation.info.expert is None
+    with pytest.raises(UsageError):
+        session.do(MarkExpert(second))
+
+
+def test_mark_of_the_experts_flight_is_stored_with_the_case(workstation):
+    session = workstation.session
+    fly(workstation)
+    number = flights(workstation)[0].number
+    session.do(MarkExpert(number))
+    session.do(CloseCase())
+    (entry,) = session.cases.listed()
+    session.do(OpenRecent(entry.recent_id))
+    until(lambda: workstation.info.expert == number)

@@ -41,6 +41,21 @@ class ScoreFlight(Command, frozen=True):
     """Name of a built-in task; null takes the task that the flight states, or else the inspection of all segments."""
 
 
+class MarkExpert(Command, frozen=True):
+    """Mark a recorded flight as the expert's, with which other flights are compared; null removes the mark."""
+
+    number: FlightNumber | None
+
+
+class CompareFlight(Command, frozen=True):
+    """Compare a scored flight with the expert's, by a job.
+
+    Without a mark, the simulated drive of the instrument's verdict is stored as a flight and marked.
+    """
+
+    number: FlightNumber
+
+
 class AddLearner(Command, frozen=True):
     """Add a learner to the course of this machine by a pseudonym, and choose this learner."""
 

@@ -42,6 +42,7 @@ from carina.session.targets.routing import RouteHandlers
 from carina.session.targets.target_edits import TargetHandlers
 from carina.session.training.attempts import TrainingHandlers
 from carina.session.training.course import CourseHandlers
+from carina.session.training.expert_flights import ExpertHandlers
 from carina.session.training.quizzes import QuizHandlers
 from carina.session.view.look import LookHandlers
 from carina.session.view.questions import CaseQuestions
@@ -117,6 +118,7 @@ class Session:
         quizzes = QuizHandlers(core)
         self._course = CourseHandlers(core, course)
         training = TrainingHandlers(core, recording, quizzes, self._course, self._saving.flight_text)
+        drives = VerdictDriveHandlers(core)
         opening = CaseOpener(core, finding, recording, holding, self._saving)
         # Order: a recording stores its time before other updates; packed airways are unpacked before other code reads
         # them.
@@ -133,8 +135,7 @@ class Session:
             SecondCtHandlers(core, self._saving),
             finding, editing, keys, recording,
             FlightHandlers(core, self._saving.flight_text), FilmHandlers(core, self._saving.flight_text),
-            training, quizzes, self._course,
-            VerdictDriveHandlers(core),
+            training, quizzes, self._course, ExpertHandlers(core, training, drives), drives,
             self._devices, holding, self._saving, self._cases, CaseQuestions(core),
             ObserverHandlers(core, finding, holding, self._saving),
         )  # fmt: skip

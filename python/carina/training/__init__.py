@@ -3,6 +3,7 @@
 from carina.training.attempt_checks import AttemptDoubt
 from carina.training.course import Course, CourseAttempt, Learner, learner_files
 from carina.training.events import FlightEvent
+from carina.training.expert import BranchStay, FlightComparison, compare_flights
 from carina.training.flight_frames import FlightFrames, flight_frames
 from carina.training.log_files import events_csv, flight_log, poses_csv, scores_csv, write_flight_log, xapi_statements
 from carina.training.mastery import REFERENCE_GROUPS, Mastery, ReferenceGroup, judge_mastery
@@ -18,9 +19,11 @@ __all__ = [
     "REFERENCE_GROUPS",
     "SEGMENTS",
     "AttemptDoubt",
+    "BranchStay",
     "CaseSegment",
     "Course",
     "CourseAttempt",
+    "FlightComparison",
     "FlightEvent",
     "FlightFrames",
     "FlightScorer",
@@ -33,6 +36,7 @@ __all__ = [
     "ScoredContact",
     "Task",
     "TaskResult",
+    "compare_flights",
     "events_csv",
     "find_task",
     "flight_frames",

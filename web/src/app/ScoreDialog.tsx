@@ -9,6 +9,7 @@ import type { FlightScore } from "../wire/messages";
 import { useApp, useStation } from "./context";
 import { Act } from "./controls";
 import { Icon } from "./icons";
+import { ScoreMap, Timeline } from "./ScoreMap";
 
 /** Render the dialog with the score of the flight that the user has chosen, or that has just ended. */
 export function ScoreDialog() {
@@ -102,7 +103,10 @@ function ScoreContent({ score }: { score: FlightScore }) {
           </table>
           <Moments score={score} />
         </div>
+        <ScoreMap score={score} />
       </div>
+      <Timeline score={score} />
+      <Expert score={score} />
       <Segments title="Seen" names={score.seen} />
       {/* A task other than an inspection does not ask for the other segments. */}
       {score.is_inspection ? <Segments title="Not seen" names={score.not_seen} /> : null}
@@ -143,6 +147,36 @@ function Segments({ title, names }: { title: string; names: readonly string[] })
     <p>
       <strong>{title}</strong>: {names.join(", ")}
     </p>
+  );
+}
+
+/** Render the comparison with the expert's flight, or the button that computes it. */
+function Expert({ score }: { score: FlightScore }) {
+  const station = useStation();
+  const expert = useApp((state) => state.training?.expert ?? null);
+  const name = useApp((state) => state.flights.find(({ number }) => number === expert)?.name ?? "the expert");
+  if (expert === score.flight) return <p className="quiet">This flight is marked as the expert's.</p>;
+  if (score.comparison.length === 0) {
+    return (
+      <div className="row">
+        <Act
+          label="Compare with the expert"
+          words="Compare with the flight that is marked as the expert's; without one, with the simulated drive of the instrument"
+          testId="compare-expert"
+          onPress={() => station.send({ type: "compare_flight", number: score.flight })}
+        />
+      </div>
+    );
+  }
+  return (
+    <div data-testid="comparison">
+      <strong>Compared with {name}</strong>, by place:
+      <ul className="comparison">
+        {score.comparison.map((words) => (
+          <li key={words}>{sentence(words)}</li>
+        ))}
+      </ul>
+    </div>
   );
 }
 

@@ -1,6 +1,6 @@
 /** Layout of the workstation: the large airway view, the other views around it, and the step's panel at the side. */
 
-import type { CSSProperties } from "react";
+import { type CSSProperties, useEffect } from "react";
 import { choosesTargetIn } from "../state/app-state";
 import { trainingLayout } from "../state/training";
 import { LEAD_VIEW } from "../wire/views";
@@ -8,7 +8,7 @@ import { AirwayStage } from "./AirwayStage";
 import { BranchList } from "./BranchList";
 import { ContinuedBar } from "./ContinuedBar";
 import { CourseDialog } from "./CoursePanel";
-import { useApp } from "./context";
+import { useApp, useStation } from "./context";
 import { DevicePanel } from "./DevicePanel";
 import { FilmDialog } from "./FilmDialog";
 import { Guide } from "./Guide";
@@ -79,6 +79,7 @@ export function WorkstationPage() {
       <FilmDialog />
       <ScoreDialog />
       <CourseDialog />
+      <ExpertLoader />
       <TargetComparisonDialog />
       <Guide />
     </div>
@@ -86,6 +87,14 @@ export function WorkstationPage() {
 }
 
 /** Render the panel of the step, or the panel that replaces it; an attempt always has its clock and its end button. */
+/** Load the path of the expert's flight after each change of the mark; render nothing. */
+function ExpertLoader() {
+  const station = useStation();
+  const expert = useApp((state) => state.training?.expert ?? null);
+  useEffect(() => void station.loadExpert(expert), [station, expert]);
+  return null;
+}
+
 function Panel({ trains }: { trains: boolean }) {
   const devicesOpen = useApp((state) => state.ui.devicesOpen);
   const keysOpen = useApp((state) => state.ui.keysOpen);

@@ -35,6 +35,7 @@ import {
 } from "../state/app-state";
 import { routeDoubts } from "../state/branch-text";
 import { caseKey } from "../state/case-key";
+import { pathOfRecording } from "../state/expert";
 import { forkAhead } from "../state/fork";
 import { hintsDue, TOUR } from "../state/guide";
 import { type ShownLayer, toggled, wantedLayers } from "../state/lungs";
@@ -393,6 +394,19 @@ export class Workstation implements Station {
   /** Download the log of a scored flight. */
   async takeFlightLog(number: number): Promise<void> {
     await this.#take(() => fetchFlightLog(number, AbortSignal.timeout(DOWNLOAD_WITHIN_MS)));
+  }
+
+  /** Read the path of the expert's flight for the ghost; null deletes it. */
+  async loadExpert(flight: number | null): Promise<void> {
+    if (flight === null) return this.ui({ expertPath: null });
+    try {
+      const { blob } = await fetchFlight(flight, AbortSignal.timeout(DOWNLOAD_WITHIN_MS));
+      const path = pathOfRecording(await blob.text());
+      if (this.state.training?.expert === flight) this.ui({ expertPath: { flight, path } });
+    } catch {
+      // Without the file no ghost is shown; the comparison is computed by the server.
+      this.ui({ expertPath: null });
+    }
   }
 
   /** Download the stored attempts of a learner. */

@@ -48,7 +48,7 @@ describe("learning curves", () => {
       { attempt: 3, value: 18, counts: false },
     ]);
     expect(seen?.marks).toEqual([{ group: "autonomous robot", value: 18 }]);
-    expect(time?.text(120)).toBe("2:00");
+    expect(time?.text(120)).toBe("2:00.0");
     expect(contacts?.marks).toEqual([]);
   });
 
@@ -61,7 +61,7 @@ describe("learning curves", () => {
   });
 
   it("An attempt at another task states its steps.", () => {
-    expect(attemptText(attempt({ is_inspection: false }))).toBe("4 of 18 steps, 4:00");
-    expect(attemptText(attempt({}))).toBe("9 seen, 3 in order, 4:00");
+    expect(attemptText(attempt({ is_inspection: false }))).toBe("4 of 18 steps, 4:00.0");
+    expect(attemptText(attempt({}))).toBe("9 seen, 3 in order, 4:00.0");
   });
 });

@@ -20,6 +20,7 @@ const TASK: TaskInfo = {
   time_limit_s: 600,
   names_shown: false,
   tree_shown: false,
+  ghost_shown: false,
   problem: null,
 };
 const RUNNING: RunningTask = {
@@ -50,6 +51,11 @@ const SCORE: FlightScore = {
   doubts: [],
   notes: [],
   moments: [],
+  segments: [],
+  timeline: [],
+  clock_start_s: 0,
+  clock_end_s: 65,
+  comparison: [],
 };
 const message = (parts: Partial<TrainingMessage>): TrainingMessage => ({
   type: "training",
@@ -60,6 +66,7 @@ const message = (parts: Partial<TrainingMessage>): TrainingMessage => ({
   verdict: null,
   references: [],
   course: { stores: false, learners: [], chosen: null, attempts: [], problems: [] },
+  expert: null,
   ...parts,
 });
 const stateAfter = (...messages: readonly TrainingMessage[]) =>

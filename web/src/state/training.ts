@@ -2,6 +2,7 @@
 
 import type { FlightScore, QuizInfo, ReferenceScores, RunningTask, TaskInfo, TrainingMessage } from "../wire/messages";
 import type { AppState } from "./app-state";
+import type { ExpertPath } from "./expert";
 import { fixed, mm } from "./format";
 import { clock } from "./playing";
 
@@ -39,6 +40,15 @@ export function trainingLayout(state: AppState): "alone" | "with-tree" | "with-s
   if (attempt !== null) return attempt.task.tree_shown ? "with-tree" : "alone";
   const quiz = quizOf(state);
   return quiz === null ? undefined : quiz.kind === "slices" ? "with-slices" : "alone";
+}
+
+/** Return the expert's path while another flight is replayed, or during a task with the ghost as a hint; null otherwise. */
+export function shownExpert(state: AppState): ExpertPath | null {
+  const { expertPath } = state.ui;
+  if (expertPath === null || expertPath.flight !== state.training?.expert) return null;
+  const replayed = state.pose?.flight?.number ?? null;
+  const isOther = replayed !== null && replayed !== expertPath.flight;
+  return isOther || attemptOf(state)?.task.ghost_shown === true ? expertPath.path : null;
 }
 
 /** Largest difference of a number of two poses that are the same, mm or without unit. */

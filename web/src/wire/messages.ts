@@ -740,6 +740,20 @@ export interface ScoreFlightMessage {
   readonly task?: string | null;
 }
 
+/** Mark a recorded flight as the expert's, with which other flights are compared; null removes the mark. */
+export interface MarkExpertMessage {
+  readonly type: "mark_expert";
+  readonly number: number | null;
+}
+
+/** Compare a scored flight with the expert's, by a job.
+
+    Without a mark, the simulated drive of the instrument's verdict is stored as a flight and marked. */
+export interface CompareFlightMessage {
+  readonly type: "compare_flight";
+  readonly number: number;
+}
+
 /** Add a learner to the course of this machine by a pseudonym, and choose this learner. */
 export interface AddLearnerMessage {
   readonly type: "add_learner";
@@ -1929,6 +1943,7 @@ export interface TaskInfo {
   readonly time_limit_s: number | null;
   readonly names_shown: boolean;
   readonly tree_shown: boolean;
+  readonly ghost_shown: boolean;
   readonly problem: string | null;
 }
 
@@ -1983,6 +1998,21 @@ export interface ScoreMoment {
   readonly words: string;
 }
 
+/** When and how a segment of the case was seen in a flight. */
+export interface SegmentVisit {
+  readonly name: string;
+  readonly branch_ids: readonly number[];
+  readonly seen_s: number | null;
+  readonly entered: boolean;
+}
+
+/** Event on the timeline of a flight. */
+export interface TimelineMark {
+  readonly time_s: number;
+  readonly kind: "contact" | "revisit" | "seen" | "wrong";
+  readonly name: string;
+}
+
 /** Scores of a recorded flight. */
 export interface FlightScore {
   readonly flight: number;
@@ -2001,6 +2031,11 @@ export interface FlightScore {
   readonly doubts: readonly string[];
   readonly notes: readonly string[];
   readonly moments: readonly ScoreMoment[];
+  readonly segments: readonly SegmentVisit[];
+  readonly timeline: readonly TimelineMark[];
+  readonly clock_start_s: number;
+  readonly clock_end_s: number;
+  readonly comparison: readonly string[];
 }
 
 /** Published scores of one group on a phantom, with another system; not a pass mark. */
@@ -2062,6 +2097,7 @@ export interface TrainingMessage {
   readonly verdict: string | null;
   readonly references: readonly ReferenceScores[];
   readonly course: CourseInfo;
+  readonly expert: number | null;
 }
 
 /** A branch of a `carina-tree` document. */
@@ -2443,6 +2479,8 @@ export type ClientMessage =
   | PauseTaskMessage
   | StopTaskMessage
   | ScoreFlightMessage
+  | MarkExpertMessage
+  | CompareFlightMessage
   | AddLearnerMessage
   | ChooseLearnerMessage
   | RemoveLearnerMessage

@@ -143,7 +143,14 @@ class SharedTexts:
         info = self._session.ask(TrainingOf())
         return wire.encode_message(
             wire.TrainingMessage(
-                info.tasks, info.running, info.quiz, info.scores, info.verdict, info.references, info.course
+                info.tasks,
+                info.running,
+                info.quiz,
+                info.scores,
+                info.verdict,
+                info.references,
+                info.course,
+                info.expert,
             )
         )
 

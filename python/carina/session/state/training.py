@@ -22,6 +22,8 @@ class TaskInfo(FrozenValue, frozen=True):
     """Whether the window shows the names of branches during an attempt."""
     tree_shown: bool
     """Whether the window shows the airway tree during an attempt."""
+    ghost_shown: bool
+    """Whether the window shows the expert's tip during an attempt, if the case has an expert's flight."""
     problem: Words | None
     """Reason why the open case is unsuitable for the task; null if it is suitable."""
 
@@ -82,6 +84,27 @@ class UnmarkedMeasures(FrozenValue, frozen=True):
     """Share of the time with the lumen in the middle of the picture."""
 
 
+class SegmentVisit(FrozenValue, frozen=True):
+    """When and how a segment of the case was seen in a flight."""
+
+    name: Words
+    branch_ids: tuple[Annotated[int, Meta(ge=0, le=2**31)], ...]
+    """Branches that begin at the openings of the segment."""
+    seen_s: float | None
+    """Time from the start of the flight; null if the segment was not seen."""
+    entered: bool
+    """Whether the tip entered the segment; otherwise it was seen from outside."""
+
+
+class TimelineMark(FrozenValue, frozen=True):
+    """Event on the timeline of a flight."""
+
+    time_s: float
+    """Time from the start of the flight."""
+    kind: Literal["seen", "contact", "wrong", "revisit"]
+    name: Words
+
+
 class FlightScore(FrozenValue, frozen=True):
     """Scores of a recorded flight."""
 
@@ -107,6 +130,14 @@ class FlightScore(FrozenValue, frozen=True):
     notes: tuple[Words, ...]
     moments: tuple[ScoreMoment, ...]
     """At most three moments to replay: the longest contacts, wrong branches, and revisits."""
+    segments: tuple[SegmentVisit, ...]
+    """Segments of the case, for the map of the tree."""
+    timeline: tuple[TimelineMark, ...]
+    clock_start_s: float
+    """Time at which the clock started, from the start of the flight."""
+    clock_end_s: float
+    comparison: tuple[Words, ...]
+    """Differences from the expert's flight; empty before the comparison."""
 
 
 class ReferenceScores(FrozenValue, frozen=True):
@@ -202,3 +233,5 @@ class TrainingInfo(FrozenValue, frozen=True):
     """Verdict on mastery over the inspections among these flights; null without one."""
     references: tuple[ReferenceScores, ...] = ()
     course: CourseInfo = CourseInfo()
+    expert: FlightNumber | None = None
+    """Number of the flight that is marked as the expert's; null without one."""

@@ -15,7 +15,7 @@ from carina.case.scope_choice import document_with_scope
 from carina.errors import NoResultError, UsageError
 from carina.navigate import FlightPath
 from carina.navigate.moves import LayScope
-from carina.navigate.recording import TaskOutcome, read_recording
+from carina.navigate.recording import Recording, TaskOutcome, read_recording
 from carina.scopes import DEFAULT_SCOPE, WallField, scope_preset
 from carina.session.command_registry import CommandHandlers, answers, does
 from carina.session.derived.derived_value import Cached
@@ -32,7 +32,18 @@ from carina.session.training.planned_tasks import planned_task
 from carina.session.training.quizzes import QuizHandlers
 from carina.session.training.scores import flight_score, references, task_infos, verdict_words
 from carina.track import Airways, AirwayTree
-from carina.training import Score, Task, find_task, flight_frames, score_flight, task_of_flight, task_to_json
+from carina.training import (
+    CaseSegment,
+    FlightComparison,
+    Score,
+    Task,
+    find_task,
+    flight_frames,
+    score_flight,
+    segments_of_case,
+    task_of_flight,
+    task_to_json,
+)
 from carina.training.flight_frames import FlightOptics
 
 if TYPE_CHECKING:
@@ -61,6 +72,8 @@ class _CaseTraining:
     attempt: LiveAttempt | None = None
     scores: dict[int, Score] = field(default_factory=dict)
     """Score of each flight that was scored since the case was opened, by its number."""
+    comparisons: dict[int, FlightComparison] = field(default_factory=dict)
+    """Comparison of each such flight with the expert's, by its number."""
 
 
 class TrainingHandlers(CommandHandlers):
@@ -94,6 +107,9 @@ class TrainingHandlers(CommandHandlers):
         self._recorder = recorder
         self._text = text
         self._state: _CaseTraining | None = None
+        self._segments: Cached[Airways | None, tuple[CaseSegment, ...]] = Cached(
+            lambda airways: () if airways is None else segments_of_case(airways.tree)
+        )
         self._suitable: Cached[Document, tuple[TaskInfo, ...]] = Cached(task_infos, same=_same_tasks)
 
     def _of(self, case: OpenCase) -> _CaseTraining:
@@ -306,24 +322,11 @@ class TrainingHandlers(CommandHandlers):
     def _start_scoring(self, case: OpenCase, number: int, task: Task | None, *, learner: str | None) -> str:
         """Start the job that scores a flight, and stores the attempt of a learner; the caller holds the lock."""
         airways = case.document.airways
-        waiting = [one.unsaved_part() for one in case.flights.unwritten if one.number == number]
 
         def work(job: Job) -> None:
             if airways is None:
                 raise NoResultError("a score needs the airways: wait for the search", code="training.no-airways")
-            text = waiting[0][1] if waiting and waiting[0][0] == 0 else self._text(number)
-            recording = read_recording(io.StringIO(text), Path(f"flight {number}"))
-            with self.core.lock:
-                wall = case.wall.of(airways)
-            wall_mm: WallField
-            if wall is None:
-                wall_mm = self.core.parts.wall_field(
-                    case.info.volume, airways, progress=job.progress, cancel=job.cancel
-                )
-            else:
-                wall_mm = wall.field
-            chosen = task_of_flight(recording) if task is None else task
-            found = score_flight(airways.tree, wall_mm, flight_frames(recording), chosen, progress=job.progress)
+            recording, found = self.scored(case, airways, number, task, job)
             # Only a flight that states its task is an attempt.
             if learner is not None and recording.task is not None:
                 self._course.record(learner, found)
@@ -332,9 +335,47 @@ class TrainingHandlers(CommandHandlers):
                 if self.core.case is not case:
                     return
                 self._of(case).scores[number] = found
+                self._of(case).comparisons.pop(number, None)
                 self.core.changed("training")
 
         return self.core.jobs.start("score", "scoring the flight", work)
+
+    def scored(
+        self, case: OpenCase, airways: Airways, number: int, task: Task | None, job: Job
+    ) -> tuple[Recording, Score]:
+        """Return the recording of a flight, and its score; called in a job, without the session's lock.
+
+        Parameters
+        ----------
+        case, airways
+            The case and its airways.
+        number
+            Number of the flight.
+        task
+            Task of the score; None takes the task that the flight states.
+        job
+            The job.
+        """
+        with self.core.lock:
+            waiting = [one.unsaved_part() for one in case.flights.unwritten if one.number == number]
+            wall = case.wall.of(airways)
+        text = waiting[0][1] if waiting and waiting[0][0] == 0 else self._text(number)
+        recording = read_recording(io.StringIO(text), Path(f"flight {number}"))
+        wall_mm: WallField
+        if wall is None:
+            wall_mm = self.core.parts.wall_field(case.info.volume, airways, progress=job.progress, cancel=job.cancel)
+        else:
+            wall_mm = wall.field
+        chosen = task_of_flight(recording) if task is None else task
+        return recording, score_flight(airways.tree, wall_mm, flight_frames(recording), chosen, progress=job.progress)
+
+    def note_comparison(self, case: OpenCase, number: int, comparison: FlightComparison) -> None:
+        """Store the comparison of a flight with the expert's; the caller holds the session's lock."""
+        self._of(case).comparisons[number] = comparison
+
+    def forget_comparisons(self, case: OpenCase) -> None:
+        """Delete the comparisons, because the expert's flight has changed; the caller holds the session's lock."""
+        self._of(case).comparisons.clear()
 
     @answers(c.ScoreOf)
     def score_of(self, question: c.ScoreOf) -> Score:
@@ -361,14 +402,18 @@ class TrainingHandlers(CommandHandlers):
             quiz = self._quizzes.info_of(case)
             running = None if state.attempt is None else state.attempt.info(self.core.clock())
             course = self._course.info()
+            compared = dict(state.comparisons)
+            expert = case.expert_flight
+            segments = self._segments.of(case.document.airways)
         return TrainingInfo(
             tasks=tasks,
             running=running,
             quiz=quiz,
-            scores=tuple(flight_score(number, one) for number, one in listed),
+            scores=tuple(flight_score(number, one, segments, compared.get(number)) for number, one in listed),
             verdict=verdict_words([one for _, one in listed]),
             references=references(),
             course=course,
+            expert=expert,
         )
 
 
