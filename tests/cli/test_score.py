@@ -117,3 +117,12 @@ def test_built_in_tasks_are_listed(carina):
     ended = carina("score", "--list-tasks")
     assert ended.code == 0
     assert "sequence-lb8-lb10" in ended.out
+
+
+def test_score_is_compared_with_the_flight_of_an_expert(carina, ct, flight):
+    text = carina("score", flight, ct, "--expert", flight)
+    assert text.code == 0
+    assert "Compared with the expert's flight, by place" in text.out
+    assert "deviation from the expert's path: mean 0.0 mm" in text.out
+    found = json.loads(carina("score", flight, ct, "--expert", flight, "--json").out)["comparison"]
+    assert (found["worst_mm"], found["longest_stay"], found["compared_share"]) == (0.0, None, 1.0)

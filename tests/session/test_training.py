@@ -8,7 +8,6 @@ import threading
 
 import numpy as np
 import pytest
-from training_workstation import Workstation, flights, until
 
 import carina
 from cached_test_data import MASKED_CHEST, cached_airways, cached_phantom
@@ -39,6 +38,7 @@ from carina.session.training.attempts import TrainingHandlers, entry_way
 from carina.session.training.live_attempt import LiveAttempt
 from carina.training import FlightEvent, find_task
 from carina.training.flight_frames import FlightOptics
+from training_workstation import Workstation, flights, until
 
 
 @pytest.fixture(scope="module")
@@ -330,6 +330,23 @@ def test_quiz_places_the_tip_for_each_question_and_states_the_answer_after_that_
     assert workstation.info.quiz is None
     with pytest.raises(UsageError, match="no quiz is running"):
         workstation.session.do(AnswerQuiz("RB1"))
+
+
+def test_quiz_with_slices_places_the_crosshair_and_restores_it(workstation, chest):
+    session = workstation.session
+    before = session.snapshot().sight
+    session.do(StartQuiz("slices", seed=1, num=2))
+    until(lambda: workstation.info.quiz is not None)
+    sight, quiz = session.snapshot().sight, workstation.info.quiz
+    assert sight.crosshair_lps is not None
+    assert sight.place("axial").mm_per_px == pytest.approx(0.4)
+    assert chest[2].distance_mm(np.array([sight.crosshair_lps]))[0] > 0.0, "the slices meet in the lumen"
+    session.do(AnswerQuiz(quiz.choices[0]))
+    session.do(NextQuestion())
+    assert session.snapshot().sight.crosshair_lps != sight.crosshair_lps
+    session.do(StopQuiz())
+    after = session.snapshot().sight
+    assert (after.crosshair_lps, after.zoom) == (before.crosshair_lps, before.zoom)
 
 
 def test_task_ends_the_quiz(workstation):

@@ -49,6 +49,7 @@ MAX_SHOWN_CHARS = 4000
 def flight_list(case: OpenCase, saving: SavingInfo) -> tuple[FlightInfo, ...]:
     """Return the recorded flights in their order; the caller holds the session's lock."""
     running = {recording.number for recording in case.flights.unwritten if not recording.closed}
+    expert = case.expert_flight
     return tuple(
         FlightInfo(
             number=one.recording_id,
@@ -56,6 +57,7 @@ def flight_list(case: OpenCase, saving: SavingInfo) -> tuple[FlightInfo, ...]:
             words=one.words[:MAX_SHOWN_CHARS],
             begun_s=None if saving.begun_s is None else saving.begun_s + one.begun_s,
             length_s=one.length_s,
+            is_expert=one.recording_id == expert,
             state="recording" if one.recording_id in running else "complete" if one.complete else "cut-off",
         )
         for one in case.flights.listed

@@ -40,9 +40,9 @@ class BranchStay:
 class FlightComparison:
     """Differences of a flight from an expert's flight; measures without a published threshold."""
 
-    own_s: float
+    own_time_s: float
     """Procedure time of the flight, s."""
-    expert_s: float
+    expert_time_s: float
     longest_stay: BranchStay | None
     """Branch with the largest excess of time over the expert's; None if no branch has an excess."""
     compared_share: float
@@ -66,7 +66,7 @@ class FlightComparison:
 
     def lines(self) -> tuple[str, ...]:
         """Return the differences as texts for the user, with their places."""
-        found = [f"time: {self.own_s:.0f} s, expert {self.expert_s:.0f} s"]
+        found = [f"time: {self.own_time_s:.0f} s, expert {self.expert_time_s:.0f} s"]
         stay = self.longest_stay
         if stay is not None:
             found.append(
@@ -95,8 +95,8 @@ class FlightComparison:
         """Return the comparison as plain JSON types."""
         stay = self.longest_stay
         return {
-            "own_s": self.own_s,
-            "expert_s": self.expert_s,
+            "own_time_s": self.own_time_s,
+            "expert_time_s": self.expert_time_s,
             "longest_stay": None
             if stay is None
             else {"branch": stay.name, "own_s": stay.own_s, "expert_s": stay.expert_s},
@@ -166,8 +166,8 @@ def compare_flights(tree: AirwayTree, own: Score, expert: Score) -> FlightCompar
     touched = {one.branch for one in expert.contacts}
     in_own, in_expert = ({names[int(one)] for one in set(part.ids.tolist())} for part in (ours, theirs))
     return FlightComparison(
-        own_s=own.procedure_time_s,
-        expert_s=expert.procedure_time_s,
+        own_time_s=own.procedure_time_s,
+        expert_time_s=expert.procedure_time_s,
         longest_stay=_longest_stay(ours, theirs, names),
         compared_share=len(known) / len(deviations),
         deviation_mm=float(deviations[known].mean()) if len(known) else None,

@@ -1,13 +1,27 @@
 /** Course in the step Train: choice, addition and removal of learners, and the dialog with the learning curves. */
 
 import { useState } from "react";
-import { Dialog, Heading, Input, Modal, ModalOverlay, TextField } from "react-aria-components";
+import {
+  Button,
+  Dialog,
+  Heading,
+  Input,
+  ListBox,
+  ListBoxItem,
+  Modal,
+  ModalOverlay,
+  Popover,
+  Select,
+  SelectValue,
+  Text,
+  TextField,
+} from "react-aria-components";
 import { keyOf } from "../input/keymap";
 import { attemptText, type Curve, curvePlaces, curvesOf, curveTop } from "../state/course";
 import { sentence } from "../state/format";
 import type { CourseInfo } from "../wire/messages";
 import { useApp, useStation } from "./context";
-import { Act } from "./controls";
+import { Act, Tip, useKeysBack } from "./controls";
 import { Icon } from "./icons";
 
 /** Largest length of a pseudonym. */
@@ -17,25 +31,10 @@ const MAX_NAME = 40;
 export function CoursePanel({ course }: { course: CourseInfo }) {
   const station = useStation();
   if (!course.stores) return null;
-  const choose = (name: string | null) => station.send({ type: "choose_learner", name });
   return (
     <>
       <h3>Learner</h3>
-      <label className="field">
-        <span className="quiet">Store the scores of</span>
-        <select
-          data-testid="learner"
-          value={course.chosen ?? ""}
-          onChange={(event) => choose(event.target.value === "" ? null : event.target.value)}
-        >
-          <option value="">nobody</option>
-          {course.learners.map(({ name, num_attempts: num }) => (
-            <option key={name} value={name}>
-              {name} ({num})
-            </option>
-          ))}
-        </select>
-      </label>
+      <LearnerSelect course={course} />
       <div className="row">
         {course.chosen === null ? null : (
           <Act
@@ -53,6 +52,49 @@ export function CoursePanel({ course }: { course: CourseInfo }) {
         </p>
       ))}
     </>
+  );
+}
+
+/** Key of the choice without a learner; a pseudonym has at least one character. */
+const NOBODY = "";
+
+function LearnerSelect({ course }: { course: CourseInfo }) {
+  const station = useStation();
+  const keysBack = useKeysBack();
+  return (
+    <Select
+      aria-label="Learner whose scores are stored"
+      className="select"
+      onOpenChange={keysBack.onOpenChange}
+      selectedKey={course.chosen ?? NOBODY}
+      onSelectionChange={(key) => {
+        const name = key === NOBODY || key === null ? null : String(key);
+        if (name !== course.chosen) station.send({ type: "choose_learner", name });
+      }}
+    >
+      <Tip words="Choose the learner whose scores are stored on this machine">
+        <Button className="button" data-testid="learner" onPressStart={keysBack.onPressStart}>
+          <SelectValue>{() => course.chosen ?? "Nobody: scores are not stored"}</SelectValue>
+          <Icon name="down" />
+        </Button>
+      </Tip>
+      <Popover className="popover" offset={4}>
+        <ListBox className="listbox">
+          <ListBoxItem id={NOBODY} textValue="Nobody" className="listbox-item">
+            <Text slot="label">Nobody</Text>
+            <Text slot="description">scores are not stored</Text>
+          </ListBoxItem>
+          {course.learners.map(({ name, num_attempts: num }) => (
+            <ListBoxItem key={name} id={name} textValue={name} className="listbox-item">
+              <Text slot="label">{name}</Text>
+              <Text slot="description" className="numbers">
+                {num} {num === 1 ? "attempt" : "attempts"}
+              </Text>
+            </ListBoxItem>
+          ))}
+        </ListBox>
+      </Popover>
+    </Select>
   );
 }
 

@@ -66,7 +66,7 @@ function FlightRow({ flight, first, last, open, onOpen }: RowProps) {
   const station = useStation();
   const isRecording = flight.state === "recording";
   const isOn = useApp((state) => state.flownFlight === flight.number && state.replaying.on);
-  const isExpert = useApp((state) => state.training?.expert === flight.number);
+  const isExpert = flight.is_expert;
   const when = flight.begun_s === null ? "" : timeOfDay(flight.begun_s, Date.now());
   return (
     <li className={isRecording ? "key here" : "key"} data-testid="flight">
@@ -145,7 +145,7 @@ function FlightTools({ flight, first, last }: { flight: FlightInfo; first: boole
   const { number } = flight;
   const isRecording = flight.state === "recording";
   const [asking, setAsking] = useState(false);
-  const isExpert = useApp((state) => state.training?.expert === number);
+  const isExpert = flight.is_expert;
   return (
     <div className="key-tools">
       <Written

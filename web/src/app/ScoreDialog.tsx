@@ -4,7 +4,7 @@ import { Dialog, Heading, Modal, ModalOverlay } from "react-aria-components";
 import { keyOf } from "../input/keymap";
 import { sentence } from "../state/format";
 import { clock } from "../state/playing";
-import { outcomeText, publishedRows, type ScoreRow, unmarkedRows } from "../state/training";
+import { expertFlight, outcomeText, publishedRows, type ScoreRow, unmarkedRows } from "../state/training";
 import type { FlightScore } from "../wire/messages";
 import { useApp, useStation } from "./context";
 import { Act } from "./controls";
@@ -88,7 +88,7 @@ function ScoreContent({ score }: { score: FlightScore }) {
           )}
         </div>
         <div>
-          <table className="score-table numbers">
+          <table className="score-table unmarked numbers">
             <thead>
               <tr>
                 <th scope="col">Measures without a published threshold</th>
@@ -101,12 +101,17 @@ function ScoreContent({ score }: { score: FlightScore }) {
               ))}
             </tbody>
           </table>
-          <Moments score={score} />
+          <div className="score-pictures">
+            <ScoreMap score={score} />
+            <div>
+              <Moments score={score} />
+              <Expert score={score} />
+            </div>
+          </div>
+          <Timeline score={score} />
         </div>
-        <ScoreMap score={score} />
       </div>
-      <Timeline score={score} />
-      <Expert score={score} />
+      <Comparison score={score} />
       <Segments title="Seen" names={score.seen} />
       {/* A task other than an inspection does not ask for the other segments. */}
       {score.is_inspection ? <Segments title="Not seen" names={score.not_seen} /> : null}
@@ -150,24 +155,26 @@ function Segments({ title, names }: { title: string; names: readonly string[] })
   );
 }
 
-/** Render the comparison with the expert's flight, or the button that computes it. */
+/** Render the button that compares the flight with the expert's; nothing after the comparison. */
 function Expert({ score }: { score: FlightScore }) {
   const station = useStation();
-  const expert = useApp((state) => state.training?.expert ?? null);
-  const name = useApp((state) => state.flights.find(({ number }) => number === expert)?.name ?? "the expert");
-  if (expert === score.flight) return <p className="quiet">This flight is marked as the expert's.</p>;
-  if (score.comparison.length === 0) {
-    return (
-      <div className="row">
-        <Act
-          label="Compare with the expert"
-          words="Compare with the flight that is marked as the expert's; without one, with the simulated drive of the instrument"
-          testId="compare-expert"
-          onPress={() => station.send({ type: "compare_flight", number: score.flight })}
-        />
-      </div>
-    );
-  }
+  const isExpert = useApp((state) => expertFlight(state) === score.flight);
+  if (isExpert) return <p className="quiet">This flight is marked as the expert's.</p>;
+  if (score.comparison.length > 0) return null;
+  return (
+    <Act
+      label="Compare with the expert"
+      words="Compare with the flight that is marked as the expert's; without one, with the simulated drive of the instrument"
+      testId="compare-expert"
+      onPress={() => station.send({ type: "compare_flight", number: score.flight })}
+    />
+  );
+}
+
+/** Render the differences from the expert's flight. */
+function Comparison({ score }: { score: FlightScore }) {
+  const name = useApp((state) => state.flights.find((flight) => flight.is_expert)?.name ?? "the expert");
+  if (score.comparison.length === 0) return null;
   return (
     <div data-testid="comparison">
       <strong>Compared with {name}</strong>, by place:

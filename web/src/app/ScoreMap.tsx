@@ -27,8 +27,7 @@ export function ScoreMap({ score }: { score: FlightScore }) {
         ))}
       </svg>
       <figcaption className="quiet">
-        Colour: blue early, orange late. Thick: entered; thin: seen from outside; grey: not seen. From the front, the
-        patient's right is at the left.
+        Blue early, orange late; thick: entered, thin: from outside, grey: not seen
       </figcaption>
     </figure>
   );
@@ -49,13 +48,13 @@ export function Timeline({ score }: { score: FlightScore }) {
   return (
     <figure className="timeline" data-testid="timeline" aria-label="Timeline of the flight">
       <div className="timeline-bar">
-        {score.timeline.map(({ time_s, kind, name }) => (
+        {score.timeline.map(({ at_s: atS, kind, name }) => (
           <span
-            key={`${time_s} ${kind} ${name}`}
+            key={`${atS} ${kind} ${name}`}
             className="timeline-mark"
             data-kind={kind}
-            style={{ left: `${100 * share(time_s)}%` }}
-            title={`${clock(time_s)} ${MARK_WORDS[kind]}: ${name}`}
+            style={{ left: `${100 * share(atS)}%` }}
+            title={`${clock(atS)} ${MARK_WORDS[kind]}: ${name}`}
           />
         ))}
         {score.moments.map(({ time_s, words }, n) => (
@@ -74,7 +73,7 @@ export function Timeline({ score }: { score: FlightScore }) {
       </div>
       <figcaption className="quiet numbers">
         <span>0:00</span>
-        <span>Above: seen, visited again. Below: wall contacts, wrong branches. Numbers: worst moments</span>
+        <span>above: seen; below: contacts, wrong branches; numbers: replay</span>
         <span>{clock(endS - startS)}</span>
       </figcaption>
     </figure>

@@ -2,7 +2,7 @@
 
 import { type CSSProperties, useEffect } from "react";
 import { choosesTargetIn } from "../state/app-state";
-import { trainingLayout } from "../state/training";
+import { expertFlight, trainingLayout } from "../state/training";
 import { LEAD_VIEW } from "../wire/views";
 import { AirwayStage } from "./AirwayStage";
 import { BranchList } from "./BranchList";
@@ -86,15 +86,15 @@ export function WorkstationPage() {
   );
 }
 
-/** Render the panel of the step, or the panel that replaces it; an attempt always has its clock and its end button. */
 /** Load the path of the expert's flight after each change of the mark; render nothing. */
 function ExpertLoader() {
   const station = useStation();
-  const expert = useApp((state) => state.training?.expert ?? null);
+  const expert = useApp(expertFlight);
   useEffect(() => void station.loadExpert(expert), [station, expert]);
   return null;
 }
 
+/** Render the panel of the step, or the panel that replaces it; an attempt always has its clock and its end button. */
 function Panel({ trains }: { trains: boolean }) {
   const devicesOpen = useApp((state) => state.ui.devicesOpen);
   const keysOpen = useApp((state) => state.ui.keysOpen);

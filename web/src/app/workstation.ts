@@ -50,7 +50,7 @@ import { clampToRoute } from "../state/route";
 import { SpeedMeter, shownSpeed } from "../state/speed";
 import { Store } from "../state/store";
 import { type Armed, isBrush, isLesionBrush, type LesionTool, nextBrush, wantsBranch } from "../state/tools";
-import { attemptOf, trainingLayout } from "../state/training";
+import { attemptOf, expertFlight, trainingLayout } from "../state/training";
 import { asVec3, cameraFromMatrix, type Vec3 } from "../state/vec";
 import { nextIn, showing, viewZoomedBy } from "../state/view-table";
 import type { WallPoint } from "../state/wall-point";
@@ -402,7 +402,7 @@ export class Workstation implements Station {
     try {
       const { blob } = await fetchFlight(flight, AbortSignal.timeout(DOWNLOAD_WITHIN_MS));
       const path = pathOfRecording(await blob.text());
-      if (this.state.training?.expert === flight) this.ui({ expertPath: { flight, path } });
+      if (expertFlight(this.state) === flight) this.ui({ expertPath: { flight, path } });
     } catch {
       // Without the file no ghost is shown; the comparison is computed by the server.
       this.ui({ expertPath: null });

@@ -12,10 +12,7 @@ const attempt = (values: Partial<CourseAttemptInfo>): CourseAttemptInfo => ({
   num_steps: 18,
   counts: true,
   reasons: [],
-  num_seen: 9,
-  num_progressions: 3,
-  time_s: 240,
-  time_per_segment_s: 26,
+  published: { num_seen: 9, num_progressions: 3, time_s: 240, time_per_segment_s: 26, num_revisited: 0 },
   num_contacts: 5,
   middle_share: 0.5,
   ...values,
@@ -27,7 +24,11 @@ const COURSE: CourseInfo = {
   attempts: [
     attempt({}),
     attempt({ number: 2, is_inspection: false, completed: true }),
-    attempt({ number: 3, num_seen: 18, time_s: 120, counts: false }),
+    attempt({
+      number: 3,
+      published: { num_seen: 18, num_progressions: 3, time_s: 120, time_per_segment_s: 7, num_revisited: 0 },
+      counts: false,
+    }),
   ],
   problems: [],
 };

@@ -42,17 +42,17 @@ export function curvesOf({ attempts }: CourseInfo, groups: readonly ReferenceSco
   return [
     curve(
       "Diagnostic completeness",
-      (one) => one.num_seen,
+      (one) => one.published.num_seen,
       (one) => one.num_seen,
     ),
     curve(
       "Structured progress",
-      (one) => one.num_progressions,
+      (one) => one.published.num_progressions,
       (one) => one.num_progressions,
     ),
     curve(
       "Procedure time",
-      (one) => one.time_s,
+      (one) => one.published.time_s,
       (one) => one.time_s,
       clock,
     ),
@@ -80,9 +80,9 @@ export const curveTop = ({ points, marks }: Curve): number =>
 /** Return in one line what an attempt achieved. */
 export function attemptText(one: CourseAttemptInfo): string {
   const result = one.is_inspection
-    ? `${one.num_seen} seen, ${one.num_progressions} in order`
+    ? `${one.published.num_seen} seen, ${one.published.num_progressions} in order`
     : one.completed
       ? "completed"
       : `${one.num_steps_done} of ${one.num_steps} steps`;
-  return `${result}, ${clock(one.time_s)}`;
+  return `${result}, ${clock(one.published.time_s)}`;
 }

@@ -66,7 +66,6 @@ const message = (parts: Partial<TrainingMessage>): TrainingMessage => ({
   verdict: null,
   references: [],
   course: { stores: false, learners: [], chosen: null, attempts: [], problems: [] },
-  expert: null,
   ...parts,
 });
 const stateAfter = (...messages: readonly TrainingMessage[]) =>

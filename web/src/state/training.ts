@@ -42,10 +42,14 @@ export function trainingLayout(state: AppState): "alone" | "with-tree" | "with-s
   return quiz === null ? undefined : quiz.kind === "slices" ? "with-slices" : "alone";
 }
 
+/** Return the number of the flight that is marked as the expert's; null without one. */
+export const expertFlight = ({ flights }: AppState): number | null =>
+  flights.find((flight) => flight.is_expert)?.number ?? null;
+
 /** Return the expert's path while another flight is replayed, or during a task with the ghost as a hint; null otherwise. */
 export function shownExpert(state: AppState): ExpertPath | null {
   const { expertPath } = state.ui;
-  if (expertPath === null || expertPath.flight !== state.training?.expert) return null;
+  if (expertPath === null || expertPath.flight !== expertFlight(state)) return null;
   const replayed = state.pose?.flight?.number ?? null;
   const isOther = replayed !== null && replayed !== expertPath.flight;
   return isOther || attemptOf(state)?.task.ghost_shown === true ? expertPath.path : null;

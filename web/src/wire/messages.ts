@@ -1016,6 +1016,7 @@ export interface FlightInfo {
   readonly words: string;
   readonly begun_s: number | null;
   readonly length_s: number;
+  readonly is_expert: boolean;
   readonly state: "complete" | "cut-off" | "recording";
 }
 
@@ -2008,7 +2009,7 @@ export interface SegmentVisit {
 
 /** Event on the timeline of a flight. */
 export interface TimelineMark {
-  readonly time_s: number;
+  readonly at_s: number;
   readonly kind: "contact" | "revisit" | "seen" | "wrong";
   readonly name: string;
 }
@@ -2068,10 +2069,7 @@ export interface CourseAttemptInfo {
   readonly num_steps: number;
   readonly counts: boolean;
   readonly reasons: readonly string[];
-  readonly num_seen: number;
-  readonly num_progressions: number;
-  readonly time_s: number;
-  readonly time_per_segment_s: number | null;
+  readonly published: PublishedScores;
   readonly num_contacts: number;
   readonly middle_share: number;
 }
@@ -2097,7 +2095,6 @@ export interface TrainingMessage {
   readonly verdict: string | null;
   readonly references: readonly ReferenceScores[];
   readonly course: CourseInfo;
-  readonly expert: number | null;
 }
 
 /** A branch of a `carina-tree` document. */

@@ -6,7 +6,7 @@ from typing import Annotated
 
 from msgspec import Meta
 
-from carina.commands.fields import FlightNumber, Words
+from carina.commands.fields import Words
 from carina.server.wire.codec import ServerMessage
 from carina.session import CourseInfo, FlightScore, QuizInfo, ReferenceScores, RunningTask, TaskInfo
 
@@ -27,5 +27,3 @@ class TrainingMessage(ServerMessage, frozen=True):
     references: Annotated[tuple[ReferenceScores, ...], Meta(max_length=100)]
     course: CourseInfo
     """Learners of this machine, and the attempts of the chosen one."""
-    expert: FlightNumber | None
-    """Number of the flight that is marked as the expert's; null without one."""

@@ -99,7 +99,7 @@ class SegmentVisit(FrozenValue, frozen=True):
 class TimelineMark(FrozenValue, frozen=True):
     """Event on the timeline of a flight."""
 
-    time_s: float
+    at_s: float
     """Time from the start of the flight."""
     kind: Literal["seen", "contact", "wrong", "revisit"]
     name: Words
@@ -199,10 +199,7 @@ class CourseAttemptInfo(FrozenValue, frozen=True):
     """Whether the attempt counts in the verdict on mastery."""
     reasons: tuple[Words, ...]
     """Reasons why an inspection does not count."""
-    num_seen: Count
-    num_progressions: Count
-    time_s: float
-    time_per_segment_s: float | None
+    published: PublishedScores
     num_contacts: Count
     middle_share: Part
 
@@ -233,5 +230,3 @@ class TrainingInfo(FrozenValue, frozen=True):
     """Verdict on mastery over the inspections among these flights; null without one."""
     references: tuple[ReferenceScores, ...] = ()
     course: CourseInfo = CourseInfo()
-    expert: FlightNumber | None = None
-    """Number of the flight that is marked as the expert's; null without one."""

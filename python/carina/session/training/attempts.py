@@ -403,7 +403,6 @@ class TrainingHandlers(CommandHandlers):
             running = None if state.attempt is None else state.attempt.info(self.core.clock())
             course = self._course.info()
             compared = dict(state.comparisons)
-            expert = case.expert_flight
             segments = self._segments.of(case.document.airways)
         return TrainingInfo(
             tasks=tasks,
@@ -413,7 +412,6 @@ class TrainingHandlers(CommandHandlers):
             verdict=verdict_words([one for _, one in listed]),
             references=references(),
             course=course,
-            expert=expert,
         )
 
 

@@ -8,7 +8,7 @@ from carina import commands as c
 from carina.errors import CarinaError, UsageError
 from carina.session.command_registry import CommandHandlers, answers, does
 from carina.session.state.snapshot import ErrorEvent
-from carina.session.state.training import CourseAttemptInfo, CourseInfo, LearnerInfo
+from carina.session.state.training import CourseAttemptInfo, CourseInfo, LearnerInfo, PublishedScores
 from carina.training import Course, Learner, Score, learner_files
 
 if TYPE_CHECKING:
@@ -175,10 +175,13 @@ def _attempts(learner: Learner) -> tuple[CourseAttemptInfo, ...]:
                 num_steps=one.num_steps,
                 counts=counts,
                 reasons=reasons,
-                num_seen=int(values["diagnostic_completeness"] or 0),
-                num_progressions=int(values["structured_progress"] or 0),
-                time_s=float(values["procedure_time_s"] or 0.0),
-                time_per_segment_s=values["mean_intersegmental_time_s"],
+                published=PublishedScores(
+                    num_seen=int(values["diagnostic_completeness"] or 0),
+                    num_progressions=int(values["structured_progress"] or 0),
+                    time_s=float(values["procedure_time_s"] or 0.0),
+                    time_per_segment_s=values["mean_intersegmental_time_s"],
+                    num_revisited=int(values["segments_revisited"] or 0),
+                ),
                 num_contacts=int(values["num_contacts"] or 0),
                 middle_share=min(max(float(values["lumen_in_middle"] or 0.0), 0.0), 1.0),
             )

@@ -214,7 +214,8 @@ function RunningAttempt({ attempt }: { attempt: Attempt }) {
 /** Interval at which the clock of an attempt is shown anew, ms. */
 const CLOCK_MS = 200;
 
-function AttemptClock({ attempt }: { attempt: Attempt }) {
+/** Render the time of an attempt. */
+export function AttemptClock({ attempt }: { attempt: Attempt }) {
   const { running } = attempt;
   const [since, setSince] = useState({ running, atMs: performance.now() });
   const [nowMs, setNowMs] = useState(since.atMs);
