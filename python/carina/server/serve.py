@@ -273,6 +273,9 @@ def serve(
         cache.sweep()
         records.empty_forgotten(FORGOTTEN_FOR_S)
 
+    course = Course(settings.learners_dir)
+    # The files of many learners are read in seconds, and are needed with the first case.
+    threading.Thread(target=course.learners, name="carina-learners", daemon=True).start()
     # Old cache files and forgotten cases are deleted while the window opens; unsaved work is never deleted.
     threading.Thread(target=sweep, name="carina-sweep", daemon=True).start()
     with bind(host, port) as sock:
@@ -287,7 +290,7 @@ def serve(
             store=store,
             records=records,
             files=case_files(cache, records),
-            course=Course(settings.learners_dir),
+            course=course,
         )
         page = None if make_phone is None else make_phone(session, web_folder(), phone_address)
 

@@ -35,6 +35,8 @@ class CourseHandlers(CommandHandlers):
         self._unstored: list[tuple[str, Score]] = []
         """Scores that could not be stored, each with its learner; they are stored with the next score."""
         self._info: CourseInfo | None = None
+        self._summaries: dict[str, tuple[Learner, LearnerInfo]] = {}
+        """Summary of each learner, for as long as the learner's file is unchanged."""
 
     @property
     def chosen(self) -> str | None:
@@ -121,7 +123,7 @@ class CourseHandlers(CommandHandlers):
             waiting = len(self._unstored)
             self._info = CourseInfo(
                 stores=course is not None,
-                learners=tuple(map(_summary, learners)),
+                learners=tuple(map(self._summary, learners)),
                 chosen=None if chosen is None else chosen.name,
                 attempts=() if chosen is None else _attempts(chosen),
                 problems=(
@@ -134,6 +136,12 @@ class CourseHandlers(CommandHandlers):
                 ),
             )
         return self._info
+
+    def _summary(self, learner: Learner) -> LearnerInfo:
+        known = self._summaries.get(learner.name)
+        if known is None or known[0] is not learner:
+            known = self._summaries[learner.name] = (learner, _summary(learner))
+        return known[1]
 
     def _change(self, chosen: str | None) -> None:
         with self.core.lock:
