@@ -57,7 +57,7 @@ def _is_confirmed(learner: Learner, *, as_json: bool) -> bool:
     what = f"{learner.name} and {len(learner.attempts)} attempts"
     if as_json or not sys.stdin.isatty():
         raise UsageError(f"this deletes {what} from this machine permanently; add --yes to confirm")
-    print(f"Delete {what} from this machine permanently? [y/N] ", end="", file=sys.stderr, flush=True)
+    print_note(f"Delete {what} from this machine permanently? Type y to delete:")
     if sys.stdin.readline().strip().lower() in {"y", "yes"}:
         return True
     print_note("nothing was deleted")
