@@ -95,7 +95,7 @@ def test_task_whose_segment_the_case_lacks_is_refused(carina, ct, flight, absent
 
 
 def test_unknown_task_and_task_file_with_an_error_are_refused(carina, ct, flight, tmp_path):
-    assert "expected one of find-lb6" in carina("score", flight, ct, "--task", "fly").err
+    assert "expected one of ebus-landmarks" in carina("score", flight, ct, "--task", "fly").err
     own = tmp_path / "own.json"
     own.write_text('{"format": "carina-task", "version": 1, "name": "own", "title": "Own", "kind": "find"}')
     ended = carina("score", flight, ct, "--task", own)
@@ -117,3 +117,12 @@ def test_built_in_tasks_are_listed(carina):
     ended = carina("score", "--list-tasks")
     assert ended.code == 0
     assert "sequence-lb8-lb10" in ended.out
+
+
+def test_score_is_compared_with_the_flight_of_an_expert(carina, ct, flight):
+    text = carina("score", flight, ct, "--expert", flight)
+    assert text.code == 0
+    assert "Compared with the expert's flight, by place" in text.out
+    assert "deviation from the expert's path: mean 0.0 mm" in text.out
+    found = json.loads(carina("score", flight, ct, "--expert", flight, "--json").out)["comparison"]
+    assert (found["worst_mm"], found["longest_stay"], found["compared_share"]) == (0.0, None, 1.0)

@@ -41,6 +41,7 @@ PRINTED_BY: dict[str, tuple[str, ...]] = {
     "cli/xray_set.py": ("render",),
     "render/isoregion_file.py": ("isoregion",),
     "cli/score.py": ("score",),
+    "cli/course.py": ("course",),
     "cli/stored_frames.py": ("fly",),
     "cli/pacs.py": ("pacs search",),
     "cli/opened.py --ct": OF_CT,

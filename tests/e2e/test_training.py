@@ -29,6 +29,11 @@ def test_task_is_started_in_two_clicks_and_its_score_is_shown_and_printed(host, 
     workstation.open(running)
     workstation.wait_ready()
     page.get_by_role("button", name="Train", exact=True).click()
+    # A learner, to whom the score is stored.
+    page.get_by_test_id("new-learner").click()
+    page.get_by_test_id("learner-name").fill("Blue heron")
+    page.get_by_test_id("learner-name").press("Enter")
+    workstation.wait_for("window.__carina.state.training.course.chosen === 'Blue heron'")
     workstation.picture("training-tasks")
     # The layout of a task ends the full view of a slice, which would hide the airway view.
     page.locator("canvas[data-view=axial]").dblclick()
@@ -56,11 +61,21 @@ def test_task_is_started_in_two_clicks_and_its_score_is_shown_and_printed(host, 
     assert "next: RB1" in page.get_by_test_id("attempt-progress").inner_text()
     workstation.wait_still()
     workstation.picture("training-attempt")
+    page.keyboard.press("z")
+    page.get_by_test_id("attempt-paused").wait_for()
+    inserted_mm = workstation.state("pose.scope.insertion_mm")
+    page.keyboard.press("w", delay=300)
+    workstation.settle()
+    assert workstation.state("pose.scope.insertion_mm") == inserted_mm
+    workstation.picture("training-paused")
+    page.get_by_test_id("pause-task").click()
+    page.get_by_test_id("attempt-paused").wait_for(state="detached")
     page.get_by_test_id("stop-task").click()
     dialog = page.get_by_test_id("score-dialog")
     dialog.wait_for(timeout=FLIGHT_MS)
     text = dialog.inner_text()
     assert "Not completed" in text
+    assert "the attempt was paused once" in text
     assert "Diagnostic completeness" in text
     assert "not directly comparable" in text
     workstation.picture("training-score")
@@ -92,5 +107,48 @@ def test_task_is_started_in_two_clicks_and_its_score_is_shown_and_printed(host, 
     workstation.wait_for("window.__carina.state.training.quiz.number === 2")
     page.get_by_test_id("quiz-stop").click()
     page.get_by_test_id("tasks").wait_for()
+    page.get_by_test_id("quiz-slices").click()
+    page.get_by_test_id("quiz-number").wait_for()
+    workstation.wait_still()
+    assert page.locator("canvas[data-view=axial]").is_visible()
+    assert not page.locator("[data-cell=outside]").is_visible()
+    workstation.picture("training-slices")
+    page.get_by_test_id("quiz-stop").click()
+    # The first flight becomes the expert's; a second one is compared with it, and its replay shows the expert's tip.
+    page.get_by_role("button", name="Rehearse", exact=True).click()
+    page.get_by_test_id("flight-more").click()
+    page.get_by_test_id("flight-expert").click()
+    workstation.wait_for("window.__carina.state.ui.expertPath !== null")
+    page.get_by_role("button", name="Train", exact=True).click()
+    page.get_by_test_id("start-hold-rul").click()
+    page.wait_for_function("() => window.__carina.state.pose.mode === 'scope'", timeout=FLIGHT_MS)
+    page.get_by_test_id("stop-task").wait_for()
+    workstation.hold_until("w", "() => window.__carina.state.pose.scope.insertion_mm > 20")
+    page.get_by_test_id("stop-task").click()
+    dialog.wait_for(timeout=FLIGHT_MS)
+    assert "Not seen" not in dialog.inner_text(), "a task other than an inspection does not ask for the other segments"
+    page.get_by_test_id("compare-expert").click()
+    page.get_by_test_id("comparison").wait_for(timeout=FLIGHT_MS)
+    workstation.picture("training-comparison")
+    page.keyboard.press("Escape")
+    dialog.wait_for(state="detached")
+    page.get_by_role("button", name="Rehearse", exact=True).click()
+    page.get_by_test_id("flight").nth(1).get_by_test_id("flight-play").click()
+    workstation.wait_for("window.__carina.state.pose.flight?.number === window.__carina.state.flights[1].number")
+    workstation.wait_still()
+    workstation.picture("training-ghost")
+    page.get_by_role("button", name="Train", exact=True).click()
+    # The stored attempts, their export, and the deletion of the learner.
+    workstation.wait_for("window.__carina.state.training.course.attempts.length === 2")
+    page.get_by_test_id("open-course").click()
+    page.get_by_test_id("course-attempts").wait_for()
+    workstation.picture("training-course")
+    with page.expect_download() as waiting:
+        page.get_by_test_id("export-learner").click()
+    with zipfile.ZipFile(waiting.value.path()) as archive:
+        assert sorted(archive.namelist()) == ["attempts.csv", "xapi.json"]
+    page.get_by_test_id("delete-learner").click()
+    page.get_by_test_id("delete-learner-now").click()
+    workstation.wait_for("window.__carina.state.training.course.learners.length === 0")
     assert workstation.faults == []
     host.close(running)

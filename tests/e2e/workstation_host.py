@@ -44,6 +44,7 @@ from carina.server.network.access_checks import Gate
 from carina.server.serve import bind, make_server, start_url
 from carina.session import CaseRecords, LocalStore, Session, case_files
 from carina.session.engines import Parts, default_parts
+from carina.training import Course
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from cached_test_data import cached_value, found_airways, name_of
@@ -354,6 +355,7 @@ def open_workstation(
         store=store,
         records=CaseRecords(Path(home) / "cases", time.time, Path(home) / "documents"),
         files=case_files(),
+        course=Course(Path(home) / "learners"),
     )
     stack.callback(session.close)
     page = PhoneSwitch(session, web_folder(), options.get("phone_address"))

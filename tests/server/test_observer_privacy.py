@@ -10,11 +10,13 @@ import pytest
 from live_server import SHOWN, WAIT_S
 from observers import insecure, sharing, watching
 
+from carina.commands import AddLearner
 from carina.errors import NoResultError, VolumeImportError
 from carina.server.network.access_checks import comes_from_this_machine
 from carina.server.observers.window import WITHOUT_NAMES, observer_error, observer_notes
 from carina.server.wire import messages as wire
 from carina.server.wire.messages_from_server import CaseNote
+from carina.training import Course, task_names
 from carina.volume import Note
 from small_case import small_volume
 
@@ -183,3 +185,16 @@ def test_errors_for_observers_contain_their_code_without_their_text():
     assert observer_error(wire.Error("import.damaged", "x", None)).code == "import.damaged"
     refused = wire.Error("session.watching", "you are watching", None)
     assert observer_error(refused) == refused
+
+
+def test_observer_receives_the_training_without_learners(shared_case, tmp_path):
+    live, _, page = shared_case
+    live.session._course._course = Course(tmp_path / "learners")
+    live.session.do(AddLearner("Blue heron"))
+    with watching(page.url) as watcher:
+        watcher.socket = recorder = Recorder(watcher.socket)
+        watcher.send(SHOWN)
+        shown = watcher.until(lambda m: isinstance(m, wire.TrainingMessage))
+        assert len(shown.tasks) == len(task_names())
+        assert not shown.course.stores
+    assert not any(b"heron" in data for data in recorder.received)

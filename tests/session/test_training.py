@@ -2,25 +2,20 @@
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
 import gc
 import threading
-import time
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 import carina
 from cached_test_data import MASKED_CHEST, cached_airways, cached_phantom
-from carina.case.recordings import RecordingFacts
 from carina.commands import (
     AnswerQuiz,
     CloseCase,
-    FlightFileQuery,
     NextQuestion,
-    OpenPath,
+    PauseTask,
     RecordFlight,
     RepeatQuestion,
     ScoreFlight,
@@ -33,18 +28,17 @@ from carina.commands import (
     StopQuiz,
     StopRecording,
     StopTask,
-    TrainingOf,
 )
-from carina.errors import CarinaError, NoResultError, UsageError
+from carina.errors import NoResultError, UsageError
+from carina.navigate import HandleSample, open_recording
 from carina.scopes import scope_preset
-from carina.session import CaseRecords, Session, UserMessage, case_files, default_parts
 from carina.session.open_case.open_case import OpenCase
 from carina.session.training import attempts
 from carina.session.training.attempts import TrainingHandlers, entry_way
 from carina.session.training.live_attempt import LiveAttempt
 from carina.training import FlightEvent, find_task
 from carina.training.flight_frames import FlightOptics
-from small_case import Clock, SmallRenderer
+from training_workstation import Workstation, flights, until
 
 
 @pytest.fixture(scope="module")
@@ -53,95 +47,11 @@ def chest():
     return volume, airways, carina.wall_field(volume, airways, spacing_mm=0.6, progress=False)
 
 
-class Workstation:
-    """Session with an open chest, whose attempts are followed by the test instead of a thread."""
-
-    def __init__(self, folder: Path, chest, monkeypatch) -> None:
-        volume, airways, wall = chest
-        self.clock = Clock()
-        self.attempts = []
-        monkeypatch.setattr(TrainingHandlers, "_watch", lambda handlers, *what: self.attempts.append((handlers, what)))
-        records = CaseRecords(folder / "cases", time.time)
-        self.session = Session(
-            SmallRenderer,
-            parts=dataclasses.replace(
-                default_parts(),
-                measure_tree=None,
-                open_volume=lambda _path, _progress, _cancel: volume,
-                find_airways=lambda _volume, **_options: airways,
-                wall_field=lambda *_what, **_options: wall,
-            ),
-            clock=self.clock,
-            records=records,
-            files=case_files(None, records),
-        )
-        self.messages = []
-        self.session.subscribe(lambda event: self.messages.append(event) if isinstance(event, UserMessage) else None)
-        self.session.do(OpenPath(str(folder)))
-        until(lambda: self.session.snapshot().airways == "found")
-        until(lambda: self.session.snapshot().saving.keeps)
-
-    @property
-    def info(self):
-        return self.session.ask(TrainingOf())
-
-    def text_of(self, number: int) -> str:
-        """Return the lines of a flight, however long a busy machine takes to write them."""
-        found = []
-
-        def is_written() -> bool:
-            # The query fails if the disk has not responded within its limit.
-            with contextlib.suppress(CarinaError):
-                found.append(self.session.ask(FlightFileQuery(number)))
-            return bool(found)
-
-        until(is_written)
-        return found[0]
-
-    def scored(self, num: int = 1):
-        """Return the scores, once there are so many and no attempt runs."""
-        until(lambda: len(self.info.scores) >= num and self.info.running is None)
-        return self.info.scores
-
-    def start(self, task: str):
-        num = len(self.attempts)
-        self.session.do(StartTask(task))
-        until(lambda: len(self.attempts) > num)
-
-    def follow(self, seconds: float) -> bool:
-        """Let time pass, and follow the newest attempt; return whether it continues."""
-        handlers, (case, attempt) = self.attempts[-1]
-        for _ in range(round(seconds / 0.1)):
-            self.clock.advance(0.1)
-            if not handlers.follow_attempt(case, attempt):
-                return False
-        return True
-
-    def advance_tip(self, millimetres: float) -> None:
-        """Insert the scope evenly at 20 mm/s, followed at each step."""
-        for _ in range(round(millimetres / 2.0)):
-            self.session.do(Steer(2.0, 0.0, 0.0, 0.0))
-            if not self.follow(0.1):
-                return
-
-
-def until(condition, seconds=120.0):
-    """Wait for a condition of another thread."""
-    end = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < end
-        time.sleep(0.005)
-
-
 @pytest.fixture
 def workstation(tmp_path, chest, monkeypatch):
     made = Workstation(tmp_path, chest, monkeypatch)
     yield made
     made.session.close()
-
-
-def flights(workstation) -> tuple[RecordingFacts, ...]:
-    return workstation.session.snapshot().flights
 
 
 def test_task_inserts_the_scope_records_the_flight_and_is_scored_when_the_user_ends_it(workstation):
@@ -198,6 +108,55 @@ def test_task_ends_at_its_time_limit(workstation, monkeypatch):
     assert (score.completed, score.doubts) == (False, ())
 
 
+def test_pause_stops_clock_and_tip_and_the_attempt_does_not_count(workstation, chest, tmp_path):
+    session = workstation.session
+    workstation.start("inspect-all")
+    session.devices.receive_sample("handle", HandleSample(0.5, 0.0, 0.0, 0.0))
+    session.devices.frame()
+    workstation.advance_tip(20.0)
+    session.do(PauseTask(True))
+    before = session.pose_info().pose
+    session.do(Steer(5.0, 0.0, 0.0, 0.0))
+    session.devices.receive_sample("handle", HandleSample(1.0, 30.0, 0.0, 0.0))
+    session.devices.frame()
+    assert workstation.follow(30.0)
+    running = workstation.info.running
+    assert (running.paused, running.elapsed_s) == (True, 1.0)
+    assert session.pose_info().pose is before
+    session.do(PauseTask(False))
+    # The first sample after the pause is the new origin of the handle.
+    session.devices.receive_sample("handle", HandleSample(32.0, 40.0, 0.0, 0.0))
+    session.devices.frame()
+    assert np.array_equal(session.pose_info().pose.position_lps, before.position_lps)
+    workstation.advance_tip(20.0)
+    assert workstation.info.running.elapsed_s == pytest.approx(2.0)
+    session.do(StopTask())
+    (score,) = workstation.scored()
+    assert score.published.time_s == pytest.approx(2.0, abs=0.11)
+    assert score.unmarked.path_mm == pytest.approx(40.0, abs=3.0)
+    assert score.doubts == ("the attempt was paused once, for 30 s in total",)
+    # The recording has the same times, and a replay passes the pause without a jump.
+    path = tmp_path / "flight.jsonl"
+    path.write_text(workstation.text_of(score.flight), encoding="utf-8")
+    recording = open_recording(path)
+    assert recording.pauses == ((pytest.approx(1.0), pytest.approx(30.0)),)
+    assert recording.length_s == pytest.approx(2.0, abs=0.01)
+    assert all(same for _, same in recording.replay(chest[0], wall=chest[2]))
+
+
+def test_attempt_that_is_ended_during_a_pause_releases_the_tip(workstation):
+    workstation.start("inspect-all")
+    workstation.advance_tip(10.0)
+    workstation.session.do(PauseTask(True))
+    workstation.clock.advance(5.0)
+    workstation.session.do(StopTask())
+    (score,) = workstation.scored()
+    assert score.doubts == ("the attempt was paused once, for 5 s in total",)
+    before = workstation.session.pose_info().pose
+    workstation.session.do(Steer(2.0, 0.0, 0.0, 0.0))
+    assert workstation.session.pose_info().pose is not before
+
+
 @pytest.mark.parametrize(
     ("end", "reason"),
     [
@@ -222,7 +181,7 @@ def test_task_is_refused_during_a_recording_and_in_an_unsuitable_case(workstatio
     with pytest.raises(UsageError, match="a recording is running; stop it first"):
         workstation.session.do(StartTask("inspect-all"))
     workstation.session.do(StopRecording())
-    with pytest.raises(UsageError, match=r"task: expected one of find-lb6"):
+    with pytest.raises(UsageError, match=r"task: expected one of ebus-landmarks"):
         workstation.session.do(StartTask("no-such-task"))
     other = dataclasses.replace(find_task("hold-rul"), structure="No such branch")
     monkeypatch.setattr("carina.session.training.attempts.find_task", lambda _name: other)
@@ -371,6 +330,23 @@ def test_quiz_places_the_tip_for_each_question_and_states_the_answer_after_that_
     assert workstation.info.quiz is None
     with pytest.raises(UsageError, match="no quiz is running"):
         workstation.session.do(AnswerQuiz("RB1"))
+
+
+def test_quiz_with_slices_places_the_crosshair_and_restores_it(workstation, chest):
+    session = workstation.session
+    before = session.snapshot().sight
+    session.do(StartQuiz("slices", seed=1, num=2))
+    until(lambda: workstation.info.quiz is not None)
+    sight, quiz = session.snapshot().sight, workstation.info.quiz
+    assert sight.crosshair_lps is not None
+    assert sight.place("axial").mm_per_px == pytest.approx(0.4)
+    assert chest[2].distance_mm(np.array([sight.crosshair_lps]))[0] > 0.0, "the slices meet in the lumen"
+    session.do(AnswerQuiz(quiz.choices[0]))
+    session.do(NextQuestion())
+    assert session.snapshot().sight.crosshair_lps != sight.crosshair_lps
+    session.do(StopQuiz())
+    after = session.snapshot().sight
+    assert (after.crosshair_lps, after.zoom) == (before.crosshair_lps, before.zoom)
 
 
 def test_task_ends_the_quiz(workstation):

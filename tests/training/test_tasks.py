@@ -34,7 +34,10 @@ def test_built_in_task_has_the_name_of_its_file_and_survives_a_round_trip(name, 
 @pytest.mark.parametrize(
     ("changed", "message"),
     [
-        ({"kind": "fly"}, "kind: expected one of inspect, find, sequence, turns, hold; found 'fly'"),
+        (
+            {"kind": "fly"},
+            "kind: expected one of inspect, find, sequence, turns, pass, hold, reach, stations; found 'fly'",
+        ),
         ({"kind": "find"}, "segments: expected one segment; found ()"),
         ({"kind": "find", "segments": ["RB11"]}, "segments[0]: expected one of RB1, RB2"),
         ({"kind": "find", "segments": "RB1"}, "segments: expected a list of texts; found 'RB1'"),
@@ -87,7 +90,7 @@ def inspection(order, landmark_frame, *frames):
     return task_result(
         replace(find_task("inspect-all"), order=order), tree_of("RB1", "RB2"), sights=sights,
         task_openings=[("main carina", [0])] if order == "landmarks" else [], visits=visits,
-        segments=segments_of_case(tree_of("RB1", "RB2")), places=places, first=0, last=99,
+        segments=segments_of_case(tree_of("RB1", "RB2")), places=places, contacts=(), first=0, last=99,
     )  # fmt: skip
 
 
@@ -109,7 +112,7 @@ def test_case_without_a_landmark_is_refused():
 
 
 def test_unknown_task_lists_the_built_in_tasks():
-    with pytest.raises(UsageError, match=r"expected one of find-lb6, .*; found 'inspect'"):
+    with pytest.raises(UsageError, match=r"expected one of ebus-landmarks, .*; found 'inspect'"):
         find_task("inspect")
 
 

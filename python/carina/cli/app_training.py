@@ -49,6 +49,10 @@ def score(
     learner: Annotated[
         str | None, typer.Option("--learner", help="Pseudonym of the learner in the xAPI statements.")
     ] = None,
+    expert: Annotated[
+        Path | None,
+        typer.Option("--expert", help="Recording of an expert's flight in the same case, to compare with by place."),
+    ] = None,
     list_tasks: Annotated[
         bool,
         typer.Option("--list-tasks", help="List the built-in tasks and exit.", callback=_list_tasks, is_eager=True),
@@ -75,9 +79,36 @@ def score(
                 earlier=tuple(earlier or ()),
                 log=log,
                 learner=learner,
+                expert=expert,
                 series=series,
                 strict=strict,
                 ct=ct,
                 as_json=as_json,
             )
         )
+
+
+def course(
+    learner: Annotated[
+        str | None, typer.Argument(help="Pseudonym of a learner. Default: all learners of this machine.")
+    ] = None,
+    export: Annotated[
+        Path | None,
+        typer.Option("--export", help="Folder for the attempts: attempts.csv, and xAPI statements in xapi.json."),
+    ] = None,
+    delete: Annotated[
+        bool, typer.Option("--delete", help="Delete the learner with all attempts, after the export.")
+    ] = False,
+    yes: Annotated[bool, typer.Option("--yes", help="Do not ask for confirmation of the deletion.")] = False,
+    as_json: JsonOption = False,
+) -> None:
+    """List the learners of this machine; print, export or delete the attempts of one.
+
+    Example: carina course
+
+    Example: carina course "Blue heron" --export blue-heron/
+    """
+    with exit_codes(as_json):
+        from carina.cli.course import report
+
+        raise SystemExit(report(learner, export=export, delete=delete, yes=yes, as_json=as_json))

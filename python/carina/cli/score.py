@@ -15,6 +15,7 @@ from carina.training import (
     SEGMENTS,
     Mastery,
     Score,
+    compare_flights,
     find_task,
     flight_frames,
     judge_mastery,
@@ -43,6 +44,7 @@ def report(
     earlier: Sequence[Path],
     log: Path | None,
     learner: str | None,
+    expert: Path | None,
     series: str | None,
     strict: bool,
     ct: Path | None,
@@ -57,10 +59,11 @@ def report(
     chosen = None if task is None else find_task(task)
     check_scan_exists(path)
     flights = [open_case_recording(path, one) for one in (*earlier, recording)]
+    reference = None if expert is None else open_case_recording(path, expert)
     chosen = task_of_flight(flights[-1]) if chosen is None else chosen
     progress = progress_printer()
     source = open_input(path, series=series, strict=strict, progress=progress, ct=ct)
-    for one in flights:
+    for one in flights if reference is None else (*flights, reference):
         one.check_scan(source.volume)
     airways = source.airways(progress)
     chosen.check_case(airways.tree)
@@ -68,6 +71,10 @@ def report(
     wall = carina.wall_field(source.volume, airways, progress=progress)
     scores = [score_flight(airways.tree, wall, flight_frames(one), chosen, progress=progress) for one in flights]
     score, mastery = scores[-1], judge_mastery(scores)
+    comparison = None
+    if reference is not None:
+        other = score_flight(airways.tree, wall, flight_frames(reference), chosen, progress=progress)
+        comparison = compare_flights(airways.tree, score, other)
     if log is not None:
         for file in write_flight_log(log, score, learner=learner or "learner"):
             print_note(f"wrote {file}")
@@ -76,12 +83,15 @@ def report(
             {
                 **score.to_json(),
                 "mastery": mastery.to_json(),
+                "comparison": None if comparison is None else comparison.to_json(),
                 "references": [one.to_json() for one in REFERENCE_GROUPS],
                 "badges": source.badges.to_json(),
             }
         )
     else:
         print_result(*score_lines(score), "", *mastery_lines(score, mastery))
+        if comparison is not None:
+            print_result("", "Compared with the expert's flight, by place", *comparison.lines())
     return 0
 
 

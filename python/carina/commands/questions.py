@@ -72,6 +72,15 @@ class TrainingOf(Query[Any], frozen=True):
     """Tasks, the running attempt, and scores of flights: a :class:`carina.session.TrainingInfo`."""
 
 
+class LearnerFiles(Query[Any], frozen=True):
+    """Attempts of a learner as texts of files (CSV, xAPI) by file name.
+
+    UsageError (``training.learner``) without such a learner.
+    """
+
+    name: str
+
+
 class ScoreOf(Query[Any], frozen=True):
     """Score of a flight that was scored since the case was opened: a :class:`carina.training.Score`.
 

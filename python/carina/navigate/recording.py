@@ -95,6 +95,7 @@ class Recorder:
         self._pose: Pose | None = None
         self._view: dict[str, Any] = {}
         self._at_s = now_s
+        self._paused_s: float | None = None
         self.num_moves = self.num_poses = 0
         pilot.forget_devices()
         self._write(
@@ -145,9 +146,26 @@ class Recorder:
         self.tick(now_s)
         self._write({"t": self._time(self._at_s), "task_end": outcome})
 
+    def pause(self, now_s: float) -> None:
+        """Stop the time of the recording until `resume`; the recording states the pause."""
+        if self._paused_s is None:
+            self.tick(now_s)
+            self._paused_s = self._at_s
+            self._write({"t": self._time(self._at_s), "paused": True})
+
+    def resume(self, now_s: float) -> None:
+        """Continue after a pause, whose length is recorded; do nothing without a pause."""
+        if self._paused_s is not None:
+            length_s = max(now_s - self._paused_s, 0.0)
+            self._began_s += length_s
+            self._at_s += length_s
+            self._paused_s = None
+            self._write({"t": self._time(self._at_s), "paused": False, "pause_s": round(length_s, 6)})
+
     def tick(self, now_s: float) -> None:
         """Set the current time for the next records; moves of devices contain their own times."""
-        self._at_s = max(self._at_s, now_s)
+        if self._paused_s is None:
+            self._at_s = max(self._at_s, now_s)
 
     def close(self) -> None:
         """Write the end and close the file; a write error is passed to ``on_end`` and not raised."""
@@ -274,6 +292,16 @@ class Recording:
     def task_outcome(self) -> str | None:
         """End of the attempt, one of :data:`TaskOutcome`; None without a task, or if the recording was cut off."""
         return next((line["task_end"] for line in self.lines if "task_end" in line), None)
+
+    @property
+    def pauses(self) -> tuple[tuple[float, float], ...]:
+        """Pauses of the recording: place in its time, which excludes pauses, and length, both in s.
+
+        A pause during which the recording was cut off has the length 0.
+        """
+        begun = [float(line["t"]) for line in self.lines if line.get("paused") is True]
+        lengths = [float(line["pause_s"]) for line in self.lines if line.get("paused") is False]
+        return tuple((at_s, lengths[n] if n < len(lengths) else 0.0) for n, at_s in enumerate(begun))
 
     @property
     def needs_wall(self) -> bool:
@@ -405,12 +433,21 @@ def read_recording(file: io.TextIOBase | TextIO, place: Path) -> Recording:
             )
         if not isinstance(line.get("task_end", ""), str):
             raise _unusable_recording_error(place, f"line {len(lines) + 2} contains an invalid end of a task")
+        if "paused" in line and not _is_pause(line):
+            raise _unusable_recording_error(place, f"line {len(lines) + 2} contains an invalid pause")
         last_s = float(at_s)
         lines.append(line)
         if "end" in line:
             complete = True
             break
     return Recording(header, tuple(lines), complete)
+
+
+def _is_pause(line: dict[str, Any]) -> bool:
+    """Return whether a line is the beginning of a pause, or its end with its length."""
+    length_s = line.get("pause_s")
+    is_length = isinstance(length_s, int | float) and 0.0 <= length_s <= MAX_LENGTH_S
+    return line["paused"] is True or (line["paused"] is False and is_length)
 
 
 def _json_object(text: str) -> dict[str, Any] | None:

@@ -166,6 +166,14 @@ def create_app(hub: Hub, gate: Gate, uploads: Uploads, *, web: Path | None = Non
         except CarinaError as error:
             return _error(error, _status(error, 409))
 
+    async def learner(request: Request) -> Response:
+        if not gate.authorised(request.headers):
+            return _not_authorised()
+        try:
+            return await downloads.learner(request.query_params.get("name", ""))
+        except CarinaError as error:
+            return _error(error, _status(error, 404))
+
     async def picture(request: Request) -> Response:
         if not gate.authorised(request.headers):
             return _not_authorised()
@@ -247,6 +255,7 @@ def create_app(hub: Hub, gate: Gate, uploads: Uploads, *, web: Path | None = Non
         Route("/api/key-frames.json", key_frames),
         Route("/api/flights/flight-{number:int}.jsonl", flight),
         Route("/api/flights/flight-{number:int}-log.zip", flight_log),
+        Route("/api/course/learner.zip", learner),
         Route("/api/pictures/{view}.png", picture),
         Route("/api/forks.png", fork_sheet),
         Route("/api/films", start_film, methods=["POST"]),

@@ -38,6 +38,7 @@ from carina.server.network.shutdown import TimedShutdownServer
 from carina.server.unsaved_question import ConsoleTerminal, close_session
 from carina.server.wire.codec import MAX_TEXT_BYTES
 from carina.session import FORGOTTEN_FOR_S, CaseRecords, LocalStore, RendererFactory, Session, case_files, is_case_file
+from carina.training import Course
 from carina.volume import Citation, VolumeCache
 
 __all__ = ["EndSignals", "bind", "make_server", "serve", "start_url"]
@@ -272,6 +273,9 @@ def serve(
         cache.sweep()
         records.empty_forgotten(FORGOTTEN_FOR_S)
 
+    course = Course(settings.learners_dir)
+    # The files of many learners are read in seconds, and are needed with the first case.
+    threading.Thread(target=course.learners, name="carina-learners", daemon=True).start()
     # Old cache files and forgotten cases are deleted while the window opens; unsaved work is never deleted.
     threading.Thread(target=sweep, name="carina-sweep", daemon=True).start()
     with bind(host, port) as sock:
@@ -286,6 +290,7 @@ def serve(
             store=store,
             records=records,
             files=case_files(cache, records),
+            course=course,
         )
         page = None if make_phone is None else make_phone(session, web_folder(), phone_address)
 

@@ -29,7 +29,15 @@ from carina.session.state.snapshot import (
     UserMessage,
     WallPoint,
 )
-from carina.session.state.training import FlightScore, QuizInfo, ReferenceScores, RunningTask, TaskInfo, TrainingInfo
+from carina.session.state.training import (
+    CourseInfo,
+    FlightScore,
+    QuizInfo,
+    ReferenceScores,
+    RunningTask,
+    TaskInfo,
+    TrainingInfo,
+)
 from carina.session.store.attach_endpoint import AttachEndpoint
 from carina.session.store.disk_storage import case_files
 from carina.session.store.find_scan import CASE_SUFFIX, CaseScans, FoundScan, is_case_file
@@ -47,6 +55,7 @@ __all__ = [
     "CaseScans",
     "Changed",
     "ChosenRoute",
+    "CourseInfo",
     "ErrorEvent",
     "Event",
     "EvidenceMissing",

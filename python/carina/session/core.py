@@ -15,10 +15,11 @@ from typing import Any
 from carina.case.document import Document
 from carina.case.history import History
 from carina.case.routes import path_move, position_on_new_route_mm
-from carina.commands import Command, GoTo, SetOperator, Steer
+from carina.commands import Command, CycleControl, GoTo, SetMode, SetOperator, Steer, ToggleMode
 from carina.commands.value import LocalCommand
 from carina.errors import CarinaError, NoEvidenceError, UsageError
 from carina.navigate import Move
+from carina.navigate.moves import LayScope
 from carina.render import Sight
 from carina.session.engines import Parts, RendererFactory, default_parts
 from carina.session.jobs.background_jobs import JobEnded, JobProgress, JobRunner
@@ -48,6 +49,7 @@ MAX_SHOWN_CHARS = 4000
 def flight_list(case: OpenCase, saving: SavingInfo) -> tuple[FlightInfo, ...]:
     """Return the recorded flights in their order; the caller holds the session's lock."""
     running = {recording.number for recording in case.flights.unwritten if not recording.closed}
+    expert = case.expert_flight
     return tuple(
         FlightInfo(
             number=one.recording_id,
@@ -55,6 +57,7 @@ def flight_list(case: OpenCase, saving: SavingInfo) -> tuple[FlightInfo, ...]:
             words=one.words[:MAX_SHOWN_CHARS],
             begun_s=None if saving.begun_s is None else saving.begun_s + one.begun_s,
             length_s=one.length_s,
+            is_expert=one.recording_id == expert,
             state="recording" if one.recording_id in running else "complete" if one.complete else "cut-off",
         )
         for one in case.flights.listed
@@ -118,6 +121,8 @@ class SessionCore:
         self.saving: Callable[[], SavingInfo] = SavingInfo
         """Function that returns whether and where the open case is saved."""
         self.before_move: Callable[[], None] = lambda: None
+        self.tip_held = False
+        """Whether moves of the tip are ignored, because the attempt at a task is paused."""
         self.before_document: list[Callable[[OpenCase], None]] = []
         """Functions called with the session locked after a document change, before tip and renderer are updated."""
         self.after_document: list[Callable[[OpenCase], None]] = []
@@ -358,9 +363,14 @@ class SessionCore:
     # ------------------------------------------------------------ moving the tip
 
     def fly(self, move: Move) -> None:
-        """Apply a move to the tip, and record a hand as the cause of the move."""
+        """Apply a move to the tip, and record a hand as the cause of the move.
+
+        While the tip is held, only moves that change the mode of movement are applied, since they end the attempt.
+        """
         case = self.needed_case()
         with self.lock:
+            if self.tip_held and not isinstance(move, SetMode | ToggleMode | CycleControl | LayScope):
+                return
             mode = case.navigator.mode
             self.before_move()
             case.pilot.apply(move, dt_s=self._seconds_since_steering() if isinstance(move, Steer) else 0.0)

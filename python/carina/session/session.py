@@ -41,9 +41,12 @@ from carina.session.targets.planning import PlanHandlers
 from carina.session.targets.routing import RouteHandlers
 from carina.session.targets.target_edits import TargetHandlers
 from carina.session.training.attempts import TrainingHandlers
+from carina.session.training.course import CourseHandlers
+from carina.session.training.expert_flights import ExpertHandlers
 from carina.session.training.quizzes import QuizHandlers
 from carina.session.view.look import LookHandlers
 from carina.session.view.questions import CaseQuestions
+from carina.training import Course
 
 A = TypeVar("A")
 
@@ -71,6 +74,8 @@ class Session:
     records, files
         Registry of the stored cases, and the functions that create and open their files; if either is None, the
         session stores no case.
+    course
+        Files of the learners of the training; None stores no learners.
 
     Notes
     -----
@@ -91,6 +96,7 @@ class Session:
         today: Callable[[], str] = lambda: time.strftime("%Y-%m-%d"),
         records: CaseRecords | None = None,
         files: CaseFileFunctions | None = None,
+        course: Course | None = None,
     ) -> None:
         core = SessionCore(
             renderer_factory,
@@ -110,7 +116,9 @@ class Session:
         self._cases = CaseList(core, self._saving, recording.stop)
         core.saving = lambda: self._saving.info
         quizzes = QuizHandlers(core)
-        training = TrainingHandlers(core, recording, quizzes, self._saving.flight_text)
+        self._course = CourseHandlers(core, course)
+        training = TrainingHandlers(core, recording, quizzes, self._course, self._saving.flight_text)
+        drives = VerdictDriveHandlers(core)
         opening = CaseOpener(core, finding, recording, holding, self._saving)
         # Order: a recording stores its time before other updates; packed airways are unpacked before other code reads
         # them.
@@ -127,8 +135,7 @@ class Session:
             SecondCtHandlers(core, self._saving),
             finding, editing, keys, recording,
             FlightHandlers(core, self._saving.flight_text), FilmHandlers(core, self._saving.flight_text),
-            training, quizzes,
-            VerdictDriveHandlers(core),
+            training, quizzes, self._course, ExpertHandlers(core, training, drives), drives,
             self._devices, holding, self._saving, self._cases, CaseQuestions(core),
             ObserverHandlers(core, finding, holding, self._saving),
         )  # fmt: skip

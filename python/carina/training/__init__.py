@@ -1,7 +1,9 @@
 """Training: tasks, and the published scores of recorded flights."""
 
 from carina.training.attempt_checks import AttemptDoubt
+from carina.training.course import Course, CourseAttempt, Learner, learner_files
 from carina.training.events import FlightEvent
+from carina.training.expert import BranchStay, FlightComparison, compare_flights
 from carina.training.flight_frames import FlightFrames, flight_frames
 from carina.training.log_files import events_csv, flight_log, poses_csv, scores_csv, write_flight_log, xapi_statements
 from carina.training.mastery import REFERENCE_GROUPS, Mastery, ReferenceGroup, judge_mastery
@@ -17,10 +19,15 @@ __all__ = [
     "REFERENCE_GROUPS",
     "SEGMENTS",
     "AttemptDoubt",
+    "BranchStay",
     "CaseSegment",
+    "Course",
+    "CourseAttempt",
+    "FlightComparison",
     "FlightEvent",
     "FlightFrames",
     "FlightScorer",
+    "Learner",
     "Mastery",
     "QuizKind",
     "QuizQuestion",
@@ -29,11 +36,13 @@ __all__ = [
     "ScoredContact",
     "Task",
     "TaskResult",
+    "compare_flights",
     "events_csv",
     "find_task",
     "flight_frames",
     "flight_log",
     "judge_mastery",
+    "learner_files",
     "poses_csv",
     "quiz_questions",
     "score_flight",

@@ -28,7 +28,9 @@ MOVES_AT_ONCE = 4096
 class AttemptDoubt:
     """Reason why an attempt does not count in a verdict."""
 
-    code: Literal["incomplete", "left-airways", "start", "jump", "instrument", "wide-picture", "uncertain-names"]
+    code: Literal[
+        "incomplete", "paused", "left-airways", "start", "jump", "instrument", "wide-picture", "uncertain-names"
+    ]
     words: str
     """Reason as a text for the user."""
     time_s: float | None = None
@@ -70,6 +72,12 @@ def attempt_doubts(
     found = []
     if not frames.complete:
         found.append(AttemptDoubt("incomplete", "the recording or the attempt was cut off before its end"))
+    # The trainee can look at the picture during a pause, before the first segment and between two segments.
+    pauses = [(at_s, length_s) for at_s, length_s in frames.pauses if at_s <= last / FRAME_HZ + 1e-6]
+    if pauses:
+        times = "once" if len(pauses) == 1 else f"{len(pauses)} times"
+        words = f"the attempt was paused {times}, for {sum(length_s for _, length_s in pauses):.0f} s in total"
+        found.append(AttemptDoubt("paused", words, pauses[0][0]))
     inside = np.flatnonzero(wall.distance_mm(frames.lps_from_tip[: last + 1, :3, 3]) > OUTSIDE_MM)
     if len(inside) and branch_ids[inside[0]] != tree.root.id:
         at_s = float(inside[0]) / FRAME_HZ

@@ -19,6 +19,8 @@ EventKind = Literal[
     "wrong-branch",
     "wrong-segment",
     "held",
+    "station",
+    "reached",
     "completed",
     "doubt",
     "clock-end",

@@ -69,6 +69,8 @@ class FlightFrames:
     """(m, 4, 4) all recorded poses, mm."""
     recorded_times_s: NDArray[np.float64] = field(repr=False)
     """(m,) time of each recorded pose from the start of the recording, s."""
+    pauses: tuple[tuple[float, float], ...] = ()
+    """Pauses: time from the start of the recording, which excludes pauses, and length, both in s."""
 
     @property
     def times_s(self) -> NDArray[np.float64]:
@@ -129,7 +131,7 @@ def flight_frames(recording: Recording) -> FlightFrames:
     # An attempt at a task counts only if it reached its end; see `carina.navigate.recording.TaskOutcome`.
     ended = recording.task is None or recording.task_outcome in {"completed", "stopped", "time-limit"}
     complete = recording.complete and ended
-    return FlightFrames(poses[numbers], numbers, view_numbers, optics, complete, poses, pose_times_s)
+    return FlightFrames(poses[numbers], numbers, view_numbers, optics, complete, poses, pose_times_s, recording.pauses)
 
 
 def latest_before(known_s: NDArray[np.float64], times_s: NDArray[np.float64]) -> NDArray[np.int64]:

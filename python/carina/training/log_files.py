@@ -29,7 +29,7 @@ PLACE = "urn:carina:training"
 """Prefix of the identifiers of tasks, segments and measures."""
 LEARNERS = "https://carina.invalid/learners"
 """Home page of the pseudonymous accounts; the domain ``invalid`` never exists, so nothing is ever sent there."""
-STATEMENTS_OF = {"visit", "revisit", "landmark", "entered", "held"}
+STATEMENTS_OF = {"visit", "revisit", "landmark", "entered", "held", "station", "reached"}
 """Kinds of events that have a statement."""
 
 

@@ -66,6 +66,8 @@ class Mastery:
     """Whether each attempt counts in a verdict."""
     reasons: tuple[tuple[str, ...], ...]
     """Reasons why each attempt does not count."""
+    basis: str = "over the recordings that you gave, in your order"
+    """Attempts of the verdict, as text."""
 
     @property
     def num_counted(self) -> int:
@@ -92,7 +94,7 @@ class Mastery:
                 f"found {self.num_counted}"
             )
         reached = "reached" if self.verdict else "not reached"
-        return f"mastery {reached} over the recordings that you gave, in your order ({MASTERY_SOURCE})"
+        return f"mastery {reached} {self.basis} ({MASTERY_SOURCE})"
 
     def to_json(self) -> dict[str, Any]:
         """Return the verdict as plain JSON types."""

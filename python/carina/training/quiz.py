@@ -1,4 +1,4 @@
-"""Quizzes that ask which segment is behind the opening in the middle of the picture, or where the tip is."""
+"""Quizzes: the segment behind an opening, the place of the tip, or the opening towards a place in three slices."""
 
 from __future__ import annotations
 
@@ -13,18 +13,25 @@ from numpy.typing import NDArray
 from carina.argument_checks import check_arguments, choice, instance, whole_from
 from carina.display import one_line
 from carina.errors import NoResultError
+from carina.plan.turns.fork_view import hours_of
 from carina.scopes import DEFAULT_SCOPE, Pose, ScopePreset, WallField, scope_preset
 from carina.track import AirwayTree, Branch
 from carina.training.flight_frames import FlightFrames, FlightOptics
 from carina.training.openings_in_sight import branch_openings, openings_in_sight
 from carina.training.segments import SURE_NAME, segments_of_case
 
-QuizKind = Literal["name-opening", "where-are-you"]
+QuizKind = Literal["name-opening", "where-are-you", "slices"]
 
 MAX_QUESTIONS = 100
 NUM_CHOICES = 4
 BACK_MM = (10.0, 8.0, 12.0, 6.0, 15.0, 4.0)
 """Distances in mm before a fork at which the tip may look at an opening, the preferred ones first."""
+LEAST_HOURS = 2.0
+"""Least difference in clock hours between the openings of a fork from which a question is made."""
+MAX_GENERATION = 5
+"""Highest generation of a branch whose fork a question is about."""
+LEAST_INTO_MM = 8.0
+"""Least length in mm of a branch in which three slices can show a place beyond the fork."""
 INTO_BRANCH = 0.4
 """Part of its length at which the tip is in a branch."""
 
@@ -38,13 +45,15 @@ class QuizQuestion:
     """Pose of the tip: it looks at the opening, or along the branch in which it is."""
     answer: str
     choices: tuple[str, ...]
-    """Names in random order, the right one included."""
+    """Names in random order, the right one included; for ``slices`` the clock hours of the openings, ascending."""
+    place_lps: tuple[float, float, float] | None = None
+    """Place at which the three slices of the kind ``slices`` meet, LPS mm."""
 
 
 @check_arguments(
     tree=instance(AirwayTree, "get one from carina.find_airways"),
     wall=instance(WallField, "make one with carina.wall_field"),
-    kind=choice("name-opening", "where-are-you"),
+    kind=choice("name-opening", "where-are-you", "slices"),
     num=whole_from(1, MAX_QUESTIONS),
     seed=whole_from(0, 2**31),
 )
@@ -55,6 +64,8 @@ def quiz_questions(
 
     Questions contain only segments whose names are certain. For ``name-opening`` the tip is before a fork and looks at
     the opening of a segment, which is in sight by the rules of the scores; for ``where-are-you`` it is in a segment.
+    For ``slices`` the tip is before a fork with all openings in sight, and three slices meet in one of the branches
+    beyond the fork; the answer is the clock hour of the opening that leads there. No names are needed.
 
     Parameters
     ----------
@@ -75,7 +86,7 @@ def quiz_questions(
     Raises
     ------
     NoResultError
-        ``training.no-segments``: if the case has fewer than two suitable segments.
+        ``training.no-segments``: if the case has fewer than two suitable segments, or for ``slices`` no suitable fork.
 
     Examples
     --------
@@ -86,6 +97,8 @@ def quiz_questions(
     4
     """
     rng = random.Random(seed)
+    if kind == "slices":
+        return _slice_questions(tree, wall, num, rng)
     segments = [
         (one.name, tree.branch(one.branch_ids[0]))
         for one in segments_of_case(tree)
@@ -104,6 +117,54 @@ def quiz_questions(
         )
     rng.shuffle(posed)
     return tuple(QuizQuestion(pose, name, _choices(name, branch, segments, rng)) for name, branch, pose in posed[:num])
+
+
+def _slice_questions(tree: AirwayTree, wall: WallField, num: int, rng: random.Random) -> tuple[QuizQuestion, ...]:
+    """Return questions about the forks of a case, each about another fork."""
+    forks = [one for one in tree.branches if one.generation < MAX_GENERATION and len(one.children) > 1]
+    rng.shuffle(forks)
+    found: list[QuizQuestion] = []
+    for fork in forks:
+        question = _slice_question(tree, fork, wall, rng)
+        if question is not None:
+            found.append(question)
+        if len(found) == num:
+            break
+    if not found:
+        raise NoResultError(
+            "quiz: expected a fork whose openings can be seen together; found none; choose another case",
+            code="training.no-segments",
+        )
+    return tuple(found)
+
+
+def _slice_question(tree: AirwayTree, parent: Branch, wall: WallField, rng: random.Random) -> QuizQuestion | None:
+    """Return a question about the fork at the end of a branch; None if its openings are not clearly apart in sight."""
+    openings = branch_openings(tree, parent.children, wall)
+    middle = np.mean([one.middle_lps for one in openings], axis=0)
+    points, run = _way_to(tree, parent.id)
+    reached = [one for one in openings if tree.branch(one.branch_id).length_mm >= LEAST_INTO_MM]
+    if len(reached) < len(openings):
+        return None
+    for back_mm in BACK_MM:
+        at = np.array([np.interp(run[-1] - back_mm, run, points[:, k]) for k in range(3)])
+        pose = Pose.looking(at, middle - at)
+        frames = _frames([pose.lps_from_camera], scope_preset(DEFAULT_SCOPE))
+        if not openings_in_sight(frames, openings, wall, first=0, last=0).in_sight[0].all():
+            continue
+        ways = [pose.lps_from_camera[:3, :3].T @ (one.middle_lps - at) for one in openings]
+        hours = [hours_of(float(way[0] / way[2]), float(way[1] / way[2])) for way in ways]
+        apart = [abs((a - b + 6.0) % 12.0 - 6.0) for n, a in enumerate(hours) for b in hours[:n]]
+        if min(apart) < LEAST_HOURS:
+            continue
+        branch = tree.branch(rng.choice(reached).branch_id)
+        place = _along(branch, max(1.0 - INTO_BRANCH, LEAST_INTO_MM / branch.length_mm))
+        texts = {one.branch_id: f"{round(hour) or 12} o'clock" for one, hour in zip(openings, hours, strict=True)}
+        if len(set(texts.values())) < len(texts):
+            continue
+        choices = tuple(sorted(texts.values(), key=lambda text: int(text.split()[0])))
+        return QuizQuestion(pose, texts[branch.id], choices, (float(place[0]), float(place[1]), float(place[2])))
+    return None
 
 
 def _is_certain(branch: Branch) -> bool:
@@ -126,9 +187,7 @@ def _before_opening(tree: AirwayTree, branch: Branch, wall: WallField) -> Pose |
     """Return a pose before the fork of a branch that looks at its opening; None if the opening is nowhere in sight."""
     if branch.parent is None:
         return None
-    lineage = tree.lineage(branch.parent)
-    points = np.concatenate([lineage[0].points, *(one.points[1:] for one in lineage[1:])])
-    run = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+    points, run = _way_to(tree, branch.parent)
     (opening,) = branch_openings(tree, [branch.id], wall)
     poses = []
     for back_mm in BACK_MM:
@@ -137,6 +196,19 @@ def _before_opening(tree: AirwayTree, branch: Branch, wall: WallField) -> Pose |
     frames = _frames([pose.lps_from_camera for pose in poses], scope_preset(DEFAULT_SCOPE))
     seen = openings_in_sight(frames, [opening], wall, first=0, last=len(poses) - 1).in_sight[:, 0]
     return next((pose for pose, is_seen in zip(poses, seen, strict=True) if is_seen), None)
+
+
+def _way_to(tree: AirwayTree, branch_id: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the points (n, 3) of the centreline from the root to the end of a branch, and their positions (n,), mm."""
+    lineage = tree.lineage(branch_id)
+    points = np.concatenate([lineage[0].points, *(one.points[1:] for one in lineage[1:])])
+    return points, np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+
+
+def _along(branch: Branch, share: float) -> NDArray[np.float64]:
+    """Return the point (3,) of a branch at a share of its length."""
+    run = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(branch.points, axis=0), axis=1))])
+    return np.array([np.interp(share * run[-1], run, branch.points[:, k]) for k in range(3)])
 
 
 def _inside(branch: Branch) -> Pose | None:

@@ -329,6 +329,8 @@ class FlightScorer:
             visits=visits,
             segments=segments,
             places=places,
+            frames=frames,
+            contacts=wall_contacts(frames, wall, places, first=first, last=last)[0] if task.kind == "pass" else (),
             first=first,
             last=last,
         )

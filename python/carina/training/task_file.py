@@ -32,10 +32,10 @@ def task_from_file(path: str | Path) -> Task:
     del values["format"], values["version"]
     for name in ("name", "title", "kind"):
         file.text(name)
-    for name in ("segments", "branches", "hints"):
+    for name in ("segments", "branches", "stations", "hints", "place_lps", "aim_lps"):
         found = values.get(name, [])
         if not isinstance(found, list):
-            raise file.refusal(name, "a list of texts", found)
+            raise file.refusal(name, "a list of numbers" if name.endswith("_lps") else "a list of texts", found)
         values[name] = tuple(found)
     try:
         return Task(**values)

@@ -1,4 +1,4 @@
-"""Steps of a task in a flight: landmarks, segments in order, branches entered, a structure held in the middle."""
+"""Steps of a task in a flight: landmarks, segments in order, branches entered, a structure held, stations located."""
 
 from __future__ import annotations
 
@@ -13,12 +13,26 @@ from carina.track import AirwayTree
 from carina.track.names.name_texts import bare_name
 from carina.training.entries import ENTERED_S
 from carina.training.events import FlightEvent
-from carina.training.flight_frames import FRAME_HZ
-from carina.training.handling import TipPlaces
+from carina.training.flight_frames import FRAME_HZ, FlightFrames
+from carina.training.handling import TipPlaces, WallContact
 from carina.training.openings_in_sight import OpeningSights
 from carina.training.segments import CaseSegment, label_of
-from carina.training.task import Task, names_on_way
+from carina.training.task import Task, landmarks_of, names_on_way
 from carina.training.visits import MIDDLE, SEEN_S, Visit, first_run, frames_of, run_ends
+
+STATION_MM = 10.0
+"""Largest distance in mm of the tip from the landmark of a station that is located."""
+STATION_DEG = 45.0
+"""Largest angle in degrees between the tip's upward direction and the direction of the station."""
+STATION_S = 1.0
+"""Time in s for which both hold without a break when the station is located."""
+REACH_MM = 5.0
+"""Largest distance in mm of the tip from the planned place when the target is reached."""
+REACH_DEG = 30.0
+"""Largest angle in degrees between the tip's direction and the line from the tip to the aim in the target."""
+REACH_S = 1.0
+"""Time in s for which both hold without a break when the target is reached."""
+TARGET = "planned target"
 
 
 @one_line
@@ -32,7 +46,10 @@ class TaskResult:
     """Steps of the task that were done, in their order."""
     num_steps: int
     num_wrong: int
-    """Number of other segments visited, or of other branches entered, before the task was completed."""
+    """Number of other segments visited, of other branches entered, or of touches of the kind ``pass``.
+
+    Only those before the completion of the task count.
+    """
     events: tuple[FlightEvent, ...]
 
     @property
@@ -60,8 +77,10 @@ def task_result(
     visits: Sequence[Visit],
     segments: Sequence[CaseSegment],
     places: TipPlaces,
+    contacts: Sequence[WallContact],
     first: int,
     last: int,
+    frames: FlightFrames | None = None,
 ) -> TaskResult:
     """Return the result of a task between two frames.
 
@@ -79,13 +98,22 @@ def task_result(
         Segments of the case.
     places
         Branch of the tip at each frame.
+    contacts
+        Contacts with the wall.
     first, last
         Frames at which the clock starts and ends.
+    frames
+        Frames of the flight, for the kinds ``stations`` and ``reach``.
     """
+    if task.kind == "stations" and frames is not None:
+        return _located_stations(task, tree, frames, first, last)
+    if task.kind == "reach" and frames is not None:
+        return _reached(task, frames, first, last)
     if task.kind == "inspect":
         return _inspection(task, sights, task_openings, segments, visits)
-    if task.kind == "turns":
-        return _turns(task, tree, places, first, last)
+    if task.kind in {"turns", "pass"}:
+        touches = contacts if task.kind == "pass" else ()
+        return _turns(task, tree, places, contacts=touches, first=first, last=last)
     if task.kind == "hold":
         name, openings = task_openings[0]
         held = np.any(sights.off_middle[:, openings] <= MIDDLE, axis=1)
@@ -157,12 +185,15 @@ def _sequence(task: Task, visits: Sequence[Visit], segments: Sequence[CaseSegmen
     return TaskResult(None, tuple(done), len(task.segments), wrong, tuple(events))
 
 
-def _turns(task: Task, tree: AirwayTree, places: TipPlaces, first: int, last: int) -> TaskResult:
+def _turns(
+    task: Task, tree: AirwayTree, places: TipPlaces, *, contacts: Sequence[WallContact], first: int, last: int
+) -> TaskResult:
     """Return the result of a list of turns: the branches entered in their order.
 
     A branch is entered when the tip has been in it, or beyond it on the way to the last branch, for
     :data:`ENTERED_S` without a break. A branch is wrong if it is not on this way. Pieces of a bronchus between which
-    only a twig leaves have one name and count as one branch.
+    only a twig leaves have one name and count as one branch. After a contact all steps must be done again, from the
+    root branch on.
     """
     way = names_on_way(tree, task)
     names = {branch.id: label_of(branch) for branch in tree.branches}
@@ -170,19 +201,65 @@ def _turns(task: Task, tree: AirwayTree, places: TipPlaces, first: int, last: in
     numbers = {name: n for n, name in enumerate(dict.fromkeys(names.values()))}
     by_number = {n: name for name, n in numbers.items()}
     at = np.array([numbers[names[int(one)]] for one in places.branch_ids[first : last + 1]], dtype=np.int64)
+    for one in contacts:
+        at[one.first_frame - first : one.last_frame - first + 1] = -1
+    touched = [one.first_frame - first for one in contacts]
     events: list[FlightEvent] = []
     done: list[str] = []
-    wrong = 0
+    wrong, from_root = 0, True
     for frame, number in run_ends(at, ENTERED_S):
+        while touched and touched[0] <= frame:
+            touched.pop(0)
+            done.clear()
+            wrong, from_root = wrong + 1, False
+        if number < 0:
+            continue
         name = by_number[number]
+        from_root = from_root or name == names[tree.root.id]
         if name not in way:
             wrong += 1
             events.append(_event(first + frame, "wrong-branch", name))
             continue
-        while len(done) < len(wanted) and way.index(wanted[len(done)]) <= way.index(name):
+        while from_root and len(done) < len(wanted) and way.index(wanted[len(done)]) <= way.index(name):
             events.append(_event(first + frame, "entered", wanted[len(done)]))
             done.append(wanted[len(done)])
         if len(done) == len(wanted):
             events.append(_event(first + frame, "completed", task.name))
             return TaskResult(first + frame, tuple(done), len(done), wrong, tuple(events))
     return TaskResult(None, tuple(done), len(wanted), wrong, tuple(events))
+
+
+def _located_stations(task: Task, tree: AirwayTree, frames: FlightFrames, first: int, last: int) -> TaskResult:
+    """Return the stations located: tip near the landmark, and its upward direction towards the station.
+
+    The transducer of an EBUS bronchoscope is on the side of upward flexion (general knowledge).
+    """
+    poses = frames.lps_from_tip[first : last + 1]
+    found: list[tuple[int, str]] = []
+    for name, landmarks in landmarks_of(tree, task).items():
+        at = np.zeros(len(poses), dtype=bool)
+        for one in landmarks:
+            near = np.linalg.norm(poses[:, :3, 3] - np.array(one.point_lps), axis=1) <= STATION_MM
+            at |= near & (-poses[:, :3, 1] @ np.array(one.direction_lps) >= np.cos(np.radians(STATION_DEG)))
+        frame = first_run(at, STATION_S)
+        if frame is not None:
+            found.append((first + frame, name))
+    found.sort()
+    events = [_event(frame, "station", name) for frame, name in found]
+    completed = found[-1][0] if len(found) == len(task.stations) else None
+    if completed is not None:
+        events.append(_event(completed, "completed", task.name))
+    return TaskResult(completed, tuple(name for _, name in found), len(task.stations), 0, tuple(events))
+
+
+def _reached(task: Task, frames: FlightFrames, first: int, last: int) -> TaskResult:
+    """Return whether the tip was at the planned place and directed at the target."""
+    poses = frames.lps_from_tip[first : last + 1]
+    ways = np.array(task.aim_lps) - poses[:, :3, 3]
+    ahead = (ways * poses[:, :3, 2]).sum(axis=1) >= np.cos(np.radians(REACH_DEG)) * np.linalg.norm(ways, axis=1)
+    near = np.linalg.norm(poses[:, :3, 3] - np.array(task.place_lps), axis=1) <= REACH_MM
+    run = first_run(near & ahead, REACH_S)
+    if run is None:
+        return TaskResult(None, (), 1, 0, ())
+    frame = first + run
+    return TaskResult(frame, (TARGET,), 1, 0, (_event(frame, "reached", TARGET), _event(frame, "completed", task.name)))

@@ -424,9 +424,14 @@ function QuizMark({ quiz }: { quiz: QuizInfo }) {
 /** Render the state of the scope and the latest event of a running attempt; names only where the task shows them. */
 function AttemptReadings({ attempt }: { attempt: Attempt }) {
   const name = useApp((state) => state.pose?.branch_name ?? null);
-  const { message, is_warning: isWarning } = attempt.running;
+  const { message, is_warning: isWarning, paused } = attempt.running;
   return (
     <>
+      {paused ? (
+        <p className="attempt-paused" role="status" data-testid="attempt-paused">
+          Paused. Press {keyOf("pause_task")} or Continue to fly on.
+        </p>
+      ) : null}
       <div className="reading top-left" data-testid="hud">
         {attempt.task.names_shown && name !== null ? <strong>{name}</strong> : null}
       </div>

@@ -66,6 +66,7 @@ function FlightRow({ flight, first, last, open, onOpen }: RowProps) {
   const station = useStation();
   const isRecording = flight.state === "recording";
   const isOn = useApp((state) => state.flownFlight === flight.number && state.replaying.on);
+  const isExpert = flight.is_expert;
   const when = flight.begun_s === null ? "" : timeOfDay(flight.begun_s, Date.now());
   return (
     <li className={isRecording ? "key here" : "key"} data-testid="flight">
@@ -85,6 +86,7 @@ function FlightRow({ flight, first, last, open, onOpen }: RowProps) {
         <span className="flight-words">
           <strong>{flight.name}</strong>
           <span className="quiet numbers">
+            {isExpert ? "expert's, " : ""}
             {isRecording ? "recording" : clock(flight.length_s)} {when === "" ? "" : `\u00b7 ${when}`}
           </span>
         </span>
@@ -143,6 +145,7 @@ function FlightTools({ flight, first, last }: { flight: FlightInfo; first: boole
   const { number } = flight;
   const isRecording = flight.state === "recording";
   const [asking, setAsking] = useState(false);
+  const isExpert = flight.is_expert;
   return (
     <div className="key-tools">
       <Written
@@ -159,6 +162,15 @@ function FlightTools({ flight, first, last }: { flight: FlightInfo; first: boole
         long
         value={flight.words}
         onChange={(words) => station.send({ type: "describe_flight", number, words })}
+      />
+      <Act
+        label={isExpert ? "No longer the expert's" : "Mark as expert's"}
+        words={
+          isExpert ? "Remove the mark" : "Compare the flights of trainees with this one, and show its tip as a ghost"
+        }
+        disabled={isRecording}
+        testId="flight-expert"
+        onPress={() => station.send({ type: "mark_expert", number: isExpert ? null : number })}
       />
       <div className="row">
         <SaveVideo flight={{ kind: "recording", number }} testId="flight-video" />

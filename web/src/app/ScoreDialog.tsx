@@ -4,11 +4,12 @@ import { Dialog, Heading, Modal, ModalOverlay } from "react-aria-components";
 import { keyOf } from "../input/keymap";
 import { sentence } from "../state/format";
 import { clock } from "../state/playing";
-import { outcomeText, publishedRows, type ScoreRow, unmarkedRows } from "../state/training";
+import { expertFlight, outcomeText, publishedRows, type ScoreRow, unmarkedRows } from "../state/training";
 import type { FlightScore } from "../wire/messages";
 import { useApp, useStation } from "./context";
 import { Act } from "./controls";
 import { Icon } from "./icons";
+import { ScoreMap, Timeline } from "./ScoreMap";
 
 /** Render the dialog with the score of the flight that the user has chosen, or that has just ended. */
 export function ScoreDialog() {
@@ -87,7 +88,7 @@ function ScoreContent({ score }: { score: FlightScore }) {
           )}
         </div>
         <div>
-          <table className="score-table numbers">
+          <table className="score-table unmarked numbers">
             <thead>
               <tr>
                 <th scope="col">Measures without a published threshold</th>
@@ -100,11 +101,20 @@ function ScoreContent({ score }: { score: FlightScore }) {
               ))}
             </tbody>
           </table>
-          <Moments score={score} />
+          <div className="score-pictures">
+            <ScoreMap score={score} />
+            <div>
+              <Moments score={score} />
+              <Expert score={score} />
+            </div>
+          </div>
+          <Timeline score={score} />
         </div>
       </div>
+      <Comparison score={score} />
       <Segments title="Seen" names={score.seen} />
-      <Segments title="Not seen" names={score.not_seen} />
+      {/* A task other than an inspection does not ask for the other segments. */}
+      {score.is_inspection ? <Segments title="Not seen" names={score.not_seen} /> : null}
       <Segments title="Not in this case" names={score.absent} />
       {score.is_inspection && verdict !== null ? <p>{sentence(verdict)}</p> : null}
       {score.notes.map((words) => (
@@ -142,6 +152,38 @@ function Segments({ title, names }: { title: string; names: readonly string[] })
     <p>
       <strong>{title}</strong>: {names.join(", ")}
     </p>
+  );
+}
+
+/** Render the button that compares the flight with the expert's; nothing after the comparison. */
+function Expert({ score }: { score: FlightScore }) {
+  const station = useStation();
+  const isExpert = useApp((state) => expertFlight(state) === score.flight);
+  if (isExpert) return <p className="quiet">This flight is marked as the expert's.</p>;
+  if (score.comparison.length > 0) return null;
+  return (
+    <Act
+      label="Compare with the expert"
+      words="Compare with the flight that is marked as the expert's; without one, with the simulated drive of the instrument"
+      testId="compare-expert"
+      onPress={() => station.send({ type: "compare_flight", number: score.flight })}
+    />
+  );
+}
+
+/** Render the differences from the expert's flight. */
+function Comparison({ score }: { score: FlightScore }) {
+  const name = useApp((state) => state.flights.find((flight) => flight.is_expert)?.name ?? "the expert");
+  if (score.comparison.length === 0) return null;
+  return (
+    <div data-testid="comparison">
+      <strong>Compared with {name}</strong>, by place:
+      <ul className="comparison">
+        {score.comparison.map((words) => (
+          <li key={words}>{sentence(words)}</li>
+        ))}
+      </ul>
+    </div>
   );
 }
 

@@ -1,13 +1,14 @@
 /** Layout of the workstation: the large airway view, the other views around it, and the step's panel at the side. */
 
-import type { CSSProperties } from "react";
+import { type CSSProperties, useEffect } from "react";
 import { choosesTargetIn } from "../state/app-state";
-import { trainingLayout } from "../state/training";
+import { expertFlight, trainingLayout } from "../state/training";
 import { LEAD_VIEW } from "../wire/views";
 import { AirwayStage } from "./AirwayStage";
 import { BranchList } from "./BranchList";
 import { ContinuedBar } from "./ContinuedBar";
-import { useApp } from "./context";
+import { CourseDialog } from "./CoursePanel";
+import { useApp, useStation } from "./context";
 import { DevicePanel } from "./DevicePanel";
 import { FilmDialog } from "./FilmDialog";
 import { Guide } from "./Guide";
@@ -77,10 +78,20 @@ export function WorkstationPage() {
       <SaveDialog />
       <FilmDialog />
       <ScoreDialog />
+      <CourseDialog />
+      <ExpertLoader />
       <TargetComparisonDialog />
       <Guide />
     </div>
   );
+}
+
+/** Load the path of the expert's flight after each change of the mark; render nothing. */
+function ExpertLoader() {
+  const station = useStation();
+  const expert = useApp(expertFlight);
+  useEffect(() => void station.transfers.loadExpert(expert), [station, expert]);
+  return null;
 }
 
 /** Render the panel of the step, or the panel that replaces it; an attempt always has its clock and its end button. */

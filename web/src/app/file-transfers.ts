@@ -6,11 +6,14 @@ import {
   fetchFlight,
   fetchFlightLog,
   fetchKeyFrames,
+  fetchLearner,
   fetchPlan,
   planAddress,
 } from "../net/download";
 import { sendUpload, UploadError, type UploadFile } from "../net/upload";
 import { caseKey } from "../state/case-key";
+import { pathOfRecording } from "../state/expert";
+import { expertFlight } from "../state/training";
 import type { Station } from "./station";
 import { saveAs } from "./station-parts";
 
@@ -127,6 +130,25 @@ export class FileTransfers {
   /** Download the log of a scored flight. */
   async takeFlightLog(number: number): Promise<void> {
     await this.#take(() => fetchFlightLog(number, AbortSignal.timeout(DOWNLOAD_WITHIN_MS)));
+  }
+
+  /** Read the path of the expert's flight for the ghost; null deletes it. */
+  async loadExpert(flight: number | null): Promise<void> {
+    const station = this.#station;
+    if (flight === null) return station.ui({ expertPath: null });
+    try {
+      const { blob } = await fetchFlight(flight, AbortSignal.timeout(DOWNLOAD_WITHIN_MS));
+      const path = pathOfRecording(await blob.text());
+      if (expertFlight(station.state) === flight) station.ui({ expertPath: { flight, path } });
+    } catch {
+      // Without the file no ghost is shown; the comparison is computed by the server.
+      station.ui({ expertPath: null });
+    }
+  }
+
+  /** Download the stored attempts of a learner. */
+  async takeLearner(name: string): Promise<void> {
+    await this.#take(() => fetchLearner(name, AbortSignal.timeout(DOWNLOAD_WITHIN_MS)));
   }
 
   /** Open the printable report of a plan in a new tab, from which the user prints it; a job shows the progress. */

@@ -38,7 +38,7 @@ import { clampToRoute } from "../state/route";
 import { SpeedMeter, shownSpeed } from "../state/speed";
 import { Store } from "../state/store";
 import { type Armed, isBrush, isLesionBrush, type LesionTool, nextBrush, wantsBranch } from "../state/tools";
-import { trainingLayout } from "../state/training";
+import { attemptOf, trainingLayout } from "../state/training";
 import { asVec3, cameraFromMatrix, type Vec3 } from "../state/vec";
 import { nextIn, showing, viewZoomedBy } from "../state/view-table";
 import type { WallPoint } from "../state/wall-point";
@@ -229,6 +229,7 @@ export class Workstation implements Station {
       hold: (axis, sign, down) => this.flight.hold(axis, sign, down),
       slow: (on) => this.flight.slow(on),
       isAvailable: (action) => this.#isAvailable(action),
+      inTask: () => attemptOf(this.state) !== null,
       holdsTool: () => this.state.ui.armed !== null || this.state.doubt !== null,
       arrowsLook: () => this.state.session?.mode !== "path",
       enabled: () => this.state.session?.case != null && this.state.start?.notice_accepted !== false,
@@ -357,6 +358,12 @@ export class Workstation implements Station {
     this.disarm();
     this.send({ type: "start_task", task });
   }
+
+  /** Pause the attempt, or continue it. */
+  pauseTask = (): void => {
+    const running = this.state.training?.running ?? null;
+    if (running !== null) this.send({ type: "pause_task", paused: !running.paused });
+  };
 
   /** Begin a quiz with questions in a new random order. */
   startQuiz(kind: QuizInfo["kind"]): void {
@@ -645,6 +652,7 @@ export class Workstation implements Station {
       this.send({ type: "toggle_mode" });
     },
     join_pen: () => this.send({ type: "join_pen" }),
+    pause_task: this.pauseTask,
     level_horizon: () => this.send({ type: "level_horizon" }),
     flip_operator: () =>
       this.send({ type: "set_operator", position: this.state.look.operator === "head" ? "facing" : "head" }),

@@ -56,7 +56,8 @@ export type Action =
   | "lock_mouse"
   | "devices"
   | "key_card"
-  | "leave";
+  | "leave"
+  | "pause_task";
 
 /** Gesture of a key in a focused view; each kind of view interprets it. */
 export type PictureGesture =
@@ -80,6 +81,7 @@ export type Command =
 export const PLACES = {
   page: { title: "Anywhere", within: null, over: [] },
   brush: { title: "With a brush selected", within: null, over: [] },
+  task: { title: "During a task of the training", within: null, over: ["page", "brush"] },
   picture: { title: "Any view with focus", within: null, over: [] },
   plane: { title: "Slices and cut-plane", within: "picture", over: [] },
   path: { title: "Straightened and curved views", within: "picture", over: [] },
@@ -360,6 +362,7 @@ const PAGE: readonly Binding[] = [
     group: "Airways",
     command: press("tool_erase"),
   },
+  { place: "task", key: "z", label: "Z", words: "Pause the task, or continue it", command: press("pause_task") },
   { place: "brush", key: "[", label: "[", words: "Smaller brush", command: press("brush_smaller") },
   { place: "brush", key: "]", label: "]", words: "Larger brush", command: press("brush_larger") },
   {

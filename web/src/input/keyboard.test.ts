@@ -2,13 +2,16 @@
 import { afterEach, describe, expect, it } from "vitest";
 import { focusKind, listenToKeys } from "./keyboard";
 
-function listening(options: { path?: boolean; enabled?: boolean; brush?: boolean; tool?: boolean } = {}) {
+function listening(
+  options: { path?: boolean; enabled?: boolean; brush?: boolean; tool?: boolean; task?: boolean } = {},
+) {
   const calls: string[] = [];
   const stop = listenToKeys(window, {
     press: (action) => calls.push(action),
     hold: (axis, sign, down) => calls.push(`${axis} ${sign} ${down ? "down" : "up"}`),
     slow: () => undefined,
     isAvailable: (action) => options.brush ?? !action.startsWith("brush_"),
+    inTask: () => options.task ?? false,
     holdsTool: () => options.tool ?? false,
     arrowsLook: () => !(options.path ?? true),
     enabled: () => options.enabled ?? true,
@@ -100,6 +103,16 @@ describe("listenToKeys", () => {
     stop = keys.stop;
     expect(type("w").defaultPrevented).toBe(false);
     expect(keys.calls).toEqual([]);
+  });
+
+  it("Z pauses a task, and has no effect without one.", () => {
+    const without = listening();
+    type("z");
+    without.stop();
+    const within = listening({ task: true });
+    type("z");
+    within.stop();
+    expect([without.calls, within.calls]).toEqual([[], ["pause_task"]]);
   });
 
   it("The keys of the brush have an effect only while a brush is active.", () => {

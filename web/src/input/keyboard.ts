@@ -11,6 +11,8 @@ export interface KeyboardHandlers {
   slow(on: boolean): void;
   /** Return whether an action is possible now. If it is not, the browser receives its key. */
   isAvailable(action: Action): boolean;
+  /** Return whether an attempt at a task is running, which has keys of its own. */
+  inTask(): boolean;
   /** Return whether a tool is active, which Escape then deactivates. */
   holdsTool(): boolean;
   /**
@@ -91,7 +93,7 @@ export function listenToKeys(page: Window, handlers: KeyboardHandlers): () => vo
       if (event.target instanceof HTMLSelectElement) event.target.showPicker();
       return;
     }
-    const binding = bindingOf(event);
+    const binding = (handlers.inTask() ? bindingOf(event, ["task"]) : null) ?? bindingOf(event);
     if (binding === null) return;
     const focus = focusKind(event.target);
     // Escape first deactivates the tool, whatever has the focus. The text of a focused field and the enlarged view do

@@ -98,7 +98,8 @@ const isWithin = (inner: KeyPlace, outer: KeyPlace): boolean => {
   const { within } = PLACES[inner];
   return within !== null && (within === outer || isWithin(within, outer));
 };
-const takesFocus = (place: KeyPlace): boolean => place !== "page" && place !== "brush" && place !== "question";
+const takesFocus = (place: KeyPlace): boolean =>
+  place !== "page" && place !== "brush" && place !== "task" && place !== "question";
 
 /** Return whether the keys of one place intentionally take precedence over those of the other. */
 const isOver = (a: KeyPlace, b: KeyPlace): boolean =>

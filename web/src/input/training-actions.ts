@@ -12,6 +12,7 @@ export const TRAINING_ACTIONS: ReadonlySet<Action> = new Set<Action>([
   "leave",
   "level_horizon",
   "lock_mouse",
+  "pause_task",
   "reset_look",
   "toggle_route_line",
   "toggle_shape",

@@ -48,6 +48,11 @@ export function fetchFlightLog(number: number, signal: AbortSignal): Promise<{ n
   return fetchFile(`flight-${number}-log.zip`, signal, "flights/");
 }
 
+/** Download the stored attempts of a learner as CSV and xAPI statements, in a zip file. */
+export function fetchLearner(name: string, signal: AbortSignal): Promise<{ name: string; blob: Blob }> {
+  return fetchFile("learner.zip", signal, "course/", `?${new URLSearchParams({ name })}`);
+}
+
 /** Download a view as PNG, with the size and marks of the query. */
 export function fetchPicture(view: string, query: string, signal: AbortSignal): Promise<{ name: string; blob: Blob }> {
   return fetchFile(`${view}.png`, signal, "pictures/", `?${query}`);

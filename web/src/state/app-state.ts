@@ -38,6 +38,7 @@ import { type CellName, LEAD_VIEW, type PlaneName } from "../wire/views";
 import { type BranchTree, buildTree } from "./airways";
 import { caseKey } from "./case-key";
 import type { Preview } from "./edit-preview";
+import type { ExpertPath } from "./expert";
 import { FIRST_FILM, type FilmChoice, type FilmFlight } from "./film";
 import type { LiveAnswer } from "./live-path";
 import type { ShownLayer } from "./lungs";
@@ -134,6 +135,10 @@ export interface Ui {
   readonly comparisonOpen: boolean;
   /** Number of the flight whose score is shown; null if the dialog is closed. */
   readonly openScore: number | null;
+  /** Path of the flight that is marked as the expert's; null until it is loaded. */
+  readonly expertPath: { readonly flight: number; readonly path: ExpertPath } | null;
+  /** Whether the dialog with the learning curves of the chosen learner is open. */
+  readonly courseOpen: boolean;
   /** Number of the flight of the attempt that has just ended, until its score is known. */
   readonly awaitedScore: number | null;
   /** Whether the dialog with all cases and their disk usage is open. */
@@ -332,6 +337,8 @@ export const INITIAL_STATE: AppState = {
     saveOpen: false,
     comparisonOpen: false,
     openScore: null,
+    courseOpen: false,
+    expertPath: null,
     awaitedScore: null,
     storageOpen: false,
     continuedReadS: null,
@@ -575,6 +582,8 @@ function sessionChanged(state: AppState, session: StateMessage): AppState {
         saveOpen: false,
         comparisonOpen: false,
         openScore: null,
+        courseOpen: false,
+        expertPath: null,
         awaitedScore: null,
         tourAt: null,
         step: "open",

@@ -83,6 +83,12 @@ export const TOUR: readonly GuideStop[] = [
     "rehearse",
   ),
   stop(
+    "Train",
+    "Fly a task with a simulated bronchoscope, then read its score. Two quizzes ask for the names of the airways.",
+    ["[data-step=train]"],
+    "train",
+  ),
+  stop(
     "Share",
     "Save the case, the airway surface and the centrelines. Nothing leaves this machine unless you share it.",
     ["[data-step=share]"],

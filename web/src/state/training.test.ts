@@ -20,6 +20,7 @@ const TASK: TaskInfo = {
   time_limit_s: 600,
   names_shown: false,
   tree_shown: false,
+  ghost_shown: false,
   problem: null,
 };
 const RUNNING: RunningTask = {
@@ -31,6 +32,7 @@ const RUNNING: RunningTask = {
   next_step: "RB2",
   message: null,
   is_warning: false,
+  paused: false,
 };
 const SCORE: FlightScore = {
   flight: 3,
@@ -49,6 +51,11 @@ const SCORE: FlightScore = {
   doubts: [],
   notes: [],
   moments: [],
+  segments: [],
+  timeline: [],
+  clock_start_s: 0,
+  clock_end_s: 65,
+  comparison: [],
 };
 const message = (parts: Partial<TrainingMessage>): TrainingMessage => ({
   type: "training",
@@ -58,6 +65,7 @@ const message = (parts: Partial<TrainingMessage>): TrainingMessage => ({
   scores: [],
   verdict: null,
   references: [],
+  course: { stores: false, learners: [], chosen: null, attempts: [], problems: [] },
   ...parts,
 });
 const stateAfter = (...messages: readonly TrainingMessage[]) =>

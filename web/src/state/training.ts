@@ -2,6 +2,7 @@
 
 import type { FlightScore, QuizInfo, ReferenceScores, RunningTask, TaskInfo, TrainingMessage } from "../wire/messages";
 import type { AppState } from "./app-state";
+import type { ExpertPath } from "./expert";
 import { fixed, mm } from "./format";
 import { clock } from "./playing";
 
@@ -33,11 +34,28 @@ export const hidesNames = (state: AppState): boolean =>
 /** Return the running quiz; null without one. */
 export const quizOf = ({ training }: AppState): QuizInfo | null => training?.quiz ?? null;
 
-/** Return the layout of the window during an attempt or a quiz: the airway view alone or with the tree; else undefined. */
-export function trainingLayout(state: AppState): "alone" | "with-tree" | undefined {
+/**
+ * Return the layout of the window during an attempt or a quiz: the airway view alone, with the tree or with slices; else
+ * undefined.
+ */
+export function trainingLayout(state: AppState): "alone" | "with-tree" | "with-slices" | undefined {
   const attempt = attemptOf(state);
   if (attempt !== null) return attempt.task.tree_shown ? "with-tree" : "alone";
-  return quizOf(state) === null ? undefined : "alone";
+  const quiz = quizOf(state);
+  return quiz === null ? undefined : quiz.kind === "slices" ? "with-slices" : "alone";
+}
+
+/** Return the number of the flight that is marked as the expert's; null without one. */
+export const expertFlight = ({ flights }: AppState): number | null =>
+  flights.find((flight) => flight.is_expert)?.number ?? null;
+
+/** Return the expert's path while another flight is replayed, or during a task with the ghost as a hint; null otherwise. */
+export function shownExpert(state: AppState): ExpertPath | null {
+  const { expertPath } = state.ui;
+  if (expertPath === null || expertPath.flight !== expertFlight(state)) return null;
+  const replayed = state.pose?.flight?.number ?? null;
+  const isOther = replayed !== null && replayed !== expertPath.flight;
+  return isOther || attemptOf(state)?.task.ghost_shown === true ? expertPath.path : null;
 }
 
 /** Largest difference of a number of two poses that are the same, mm or without unit. */
@@ -49,8 +67,13 @@ export function isAtQuestion({ pose }: AppState, quiz: QuizInfo): boolean {
 }
 
 /** Return the question of a quiz as text. */
-export const questionText = ({ kind }: QuizInfo): string =>
-  kind === "name-opening" ? "Which segment is behind the opening in the middle?" : "In which segment is the tip?";
+export const questionText = ({ kind }: QuizInfo): string => QUESTIONS[kind];
+
+const QUESTIONS: Readonly<Record<QuizInfo["kind"], string>> = {
+  "name-opening": "Which segment is behind the opening in the middle?",
+  "where-are-you": "In which segment is the tip?",
+  slices: "The three slices meet in a bronchus beyond this fork. Which opening leads there?",
+};
 
 /** Return whether the answer to the present question is right, as text; null before the answer. */
 export function answerText({ given, answer }: QuizInfo): string | null {

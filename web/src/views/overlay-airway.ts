@@ -14,6 +14,7 @@ import type { RouteInfo } from "../wire/messages";
 import { INK, type Ink, label, line, type ScreenPoint } from "./ink";
 import { traceOutline } from "./outline";
 import { paintCursorNote, paintLivePath, paintPreview } from "./overlay-cursor";
+import { paintGhost } from "./overlay-ghost";
 import { paintLesionsSeen } from "./overlay-lesion";
 import { paintPen } from "./overlay-pen";
 import { paintDrawn, paintTreeAhead } from "./overlay-tree";
@@ -67,6 +68,7 @@ export function paintAirway(ink: Ink, viewport: Viewport, scene: Scene): void {
   paintLivePath(ink, viewport, geometry, withinReach(geometry, scene), () => true);
   paintPreview(ink, viewport, geometry, previewInView(geometry, scene), () => true);
   paintWallMarks(ink, viewport, geometry, scene);
+  paintGhost(ink, viewport, geometry, scene);
   paintPen(ink, viewport, geometry, scene, (depthMm) => depthMm < LINE_TO_MM);
   ink.restore();
   const marks = ringMarks(geometry.camera);

@@ -4,6 +4,7 @@ import type { BranchNode, BranchTree } from "../state/airways";
 import { type AppState, type Cursor, crosshairLps, pathMm } from "../state/app-state";
 import { kindText, lumenMm } from "../state/branch-text";
 import { type PreviewRun, previewText, previewTool, runsOf } from "../state/edit-preview";
+import { type ExpertPath, ghostAhead, placeOnPath } from "../state/expert";
 import { forkOf } from "../state/fork-choice";
 import { mm, plural } from "../state/format";
 import { type LiveAnswer, leavesTreeAt, livePathLines } from "../state/live-path";
@@ -15,7 +16,7 @@ import { pointsBetween } from "../state/route";
 import type { Surface } from "../state/section";
 import { marksStructure, targetMarkLines } from "../state/target-mark";
 import { type Armed, isBrush, takesAway, wantsPath } from "../state/tools";
-import { hidesNames, trainingLayout } from "../state/training";
+import { hidesNames, shownExpert, trainingLayout } from "../state/training";
 import { below, pointsFrom, type TreePlace } from "../state/tree-index";
 import { asVec3, type Camera, cameraFromMatrix, type Vec3 } from "../state/vec";
 import type { Grid } from "../state/volume";
@@ -124,6 +125,8 @@ export interface Scene {
    * its tip or the scope follows the pen.
    */
   pen: { lps: Vec3; words: readonly string[] } | null;
+  /** Tip of the expert ahead of the tip, at the same place of the airways; null if no ghost is shown. */
+  ghost: Vec3 | null;
   cursor: Cursor | null;
   /** Text at the cursor; `warns` draws it as a warning. Null without a text. */
   note: { lines: readonly string[]; warns: boolean } | null;
@@ -353,6 +356,7 @@ const MADE = [
   "note",
   "brush",
   "pen",
+  "ghost",
   "uncertain",
   "wallPoints",
   "grid",
@@ -380,6 +384,23 @@ const MAX_PARTS = 64;
 
 /** Parts of the scene while names are hidden; a hovered branch would have its name, a selected one would show a place. */
 const NO_NAMES = { named: [], titled: [], hovered: null, selected: null, note: null } as const satisfies Partial<Scene>;
+
+let ghostPath: ExpertPath | null = null;
+let ghostFrom = 0;
+
+/** Return the expert's tip ahead of the tip; null if no ghost is shown, or if the expert was not at this place. */
+function ghostOf(state: AppState, tip: Vec3 | null): Vec3 | null {
+  const path = shownExpert(state);
+  if (path !== ghostPath) {
+    ghostPath = path;
+    ghostFrom = 0;
+  }
+  if (path === null || tip === null) return null;
+  const place = placeOnPath(path, tip, ghostFrom);
+  if (place === null) return null;
+  ghostFrom = place;
+  return ghostAhead(path, place);
+}
 
 function buildScene(state: AppState): Scene {
   if (state.route !== cachedFor) {
@@ -428,6 +449,7 @@ function buildScene(state: AppState): Scene {
     wallPoints: state.picks.map((point) => point.lps),
     hereId: state.pose?.branch_id ?? null,
     pen: penOf(state),
+    ghost: ghostOf(state, tip?.position ?? null),
     cursor: state.ui.cursor,
     ...pointedAt(state),
   };

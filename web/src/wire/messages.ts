@@ -720,6 +720,14 @@ export interface StartTaskMessage {
   readonly task: string;
 }
 
+/** Pause the attempt, or continue it: the clock stops and the tip does not move; nothing without an attempt.
+
+    A paused attempt is scored, but does not count in a verdict. */
+export interface PauseTaskMessage {
+  readonly type: "pause_task";
+  readonly paused: boolean;
+}
+
 /** End the attempt, and score its flight; nothing happens if no task is running. */
 export interface StopTaskMessage {
   readonly type: "stop_task";
@@ -732,12 +740,44 @@ export interface ScoreFlightMessage {
   readonly task?: string | null;
 }
 
+/** Mark a recorded flight as the expert's, with which other flights are compared; null removes the mark. */
+export interface MarkExpertMessage {
+  readonly type: "mark_expert";
+  readonly number: number | null;
+}
+
+/** Compare a scored flight with the expert's, by a job.
+
+    Without a mark, the simulated drive of the instrument's verdict is stored as a flight and marked. */
+export interface CompareFlightMessage {
+  readonly type: "compare_flight";
+  readonly number: number;
+}
+
+/** Add a learner to the course of this machine by a pseudonym, and choose this learner. */
+export interface AddLearnerMessage {
+  readonly type: "add_learner";
+  readonly name: string;
+}
+
+/** Choose the learner whose scored attempts are stored from now on; null stores no attempts. */
+export interface ChooseLearnerMessage {
+  readonly type: "choose_learner";
+  readonly name: string | null;
+}
+
+/** Delete a learner with all stored attempts; the flights in cases remain. */
+export interface RemoveLearnerMessage {
+  readonly type: "remove_learner";
+  readonly name: string;
+}
+
 /** Begin a quiz on the open case: place the tip for the first question.
 
     The command is a job if the wall of the airways must be computed first. */
 export interface StartQuizMessage {
   readonly type: "start_quiz";
-  readonly kind: "name-opening" | "where-are-you";
+  readonly kind: "name-opening" | "slices" | "where-are-you";
   readonly seed?: number;
   readonly num?: number;
 }
@@ -976,6 +1016,7 @@ export interface FlightInfo {
   readonly words: string;
   readonly begun_s: number | null;
   readonly length_s: number;
+  readonly is_expert: boolean;
   readonly state: "complete" | "cut-off" | "recording";
 }
 
@@ -1903,6 +1944,7 @@ export interface TaskInfo {
   readonly time_limit_s: number | null;
   readonly names_shown: boolean;
   readonly tree_shown: boolean;
+  readonly ghost_shown: boolean;
   readonly problem: string | null;
 }
 
@@ -1916,11 +1958,12 @@ export interface RunningTask {
   readonly next_step: string | null;
   readonly message: string | null;
   readonly is_warning: boolean;
+  readonly paused: boolean;
 }
 
 /** A running quiz: its present question, and the answers so far. */
 export interface QuizInfo {
-  readonly kind: "name-opening" | "where-are-you";
+  readonly kind: "name-opening" | "slices" | "where-are-you";
   readonly number: number;
   readonly num_questions: number;
   readonly choices: readonly string[];
@@ -1956,6 +1999,21 @@ export interface ScoreMoment {
   readonly words: string;
 }
 
+/** When and how a segment of the case was seen in a flight. */
+export interface SegmentVisit {
+  readonly name: string;
+  readonly branch_ids: readonly number[];
+  readonly seen_s: number | null;
+  readonly entered: boolean;
+}
+
+/** Event on the timeline of a flight. */
+export interface TimelineMark {
+  readonly at_s: number;
+  readonly kind: "contact" | "revisit" | "seen" | "wrong";
+  readonly name: string;
+}
+
 /** Scores of a recorded flight. */
 export interface FlightScore {
   readonly flight: number;
@@ -1974,6 +2032,11 @@ export interface FlightScore {
   readonly doubts: readonly string[];
   readonly notes: readonly string[];
   readonly moments: readonly ScoreMoment[];
+  readonly segments: readonly SegmentVisit[];
+  readonly timeline: readonly TimelineMark[];
+  readonly clock_start_s: number;
+  readonly clock_end_s: number;
+  readonly comparison: readonly string[];
 }
 
 /** Published scores of one group on a phantom, with another system; not a pass mark. */
@@ -1984,6 +2047,40 @@ export interface ReferenceScores {
   readonly time_s: number;
   readonly time_per_segment_s: number;
   readonly source: string;
+}
+
+/** A learner of the course. */
+export interface LearnerInfo {
+  readonly name: string;
+  readonly num_attempts: number;
+  readonly num_counted: number;
+  readonly mastery: boolean | null;
+  readonly verdict: string;
+}
+
+/** A stored attempt of the chosen learner; the measures are those of `PublishedScores` and `UnmarkedMeasures`. */
+export interface CourseAttemptInfo {
+  readonly number: number;
+  readonly task: string;
+  readonly title: string;
+  readonly is_inspection: boolean;
+  readonly completed: boolean;
+  readonly num_steps_done: number;
+  readonly num_steps: number;
+  readonly counts: boolean;
+  readonly reasons: readonly string[];
+  readonly published: PublishedScores;
+  readonly num_contacts: number;
+  readonly middle_share: number;
+}
+
+/** The learners of this machine, and the attempts of the chosen one. */
+export interface CourseInfo {
+  readonly stores: boolean;
+  readonly learners: readonly LearnerInfo[];
+  readonly chosen: string | null;
+  readonly attempts: readonly CourseAttemptInfo[];
+  readonly problems: readonly string[];
 }
 
 /** Tasks, the running attempt or quiz, and scores of flights.
@@ -1997,6 +2094,7 @@ export interface TrainingMessage {
   readonly scores: readonly FlightScore[];
   readonly verdict: string | null;
   readonly references: readonly ReferenceScores[];
+  readonly course: CourseInfo;
 }
 
 /** A branch of a `carina-tree` document. */
@@ -2375,8 +2473,14 @@ export type ClientMessage =
   | MapLungsMessage
   | MapReachMessage
   | StartTaskMessage
+  | PauseTaskMessage
   | StopTaskMessage
   | ScoreFlightMessage
+  | MarkExpertMessage
+  | CompareFlightMessage
+  | AddLearnerMessage
+  | ChooseLearnerMessage
+  | RemoveLearnerMessage
   | StartQuizMessage
   | AnswerQuizMessage
   | NextQuestionMessage

@@ -13,7 +13,7 @@ from typing import Any
 
 from starlette.responses import JSONResponse, Response
 
-from carina.commands import AirwaysQuery, FlightFileQuery, KeyFrameFileQuery, ScoreOf
+from carina.commands import AirwaysQuery, FlightFileQuery, KeyFrameFileQuery, LearnerFiles, ScoreOf
 from carina.errors import CarinaError
 from carina.export import EXPORT_SUFFIXES, export_airways
 from carina.server.files.one_shot_file import OneShotFileResponse, new_folder
@@ -110,6 +110,18 @@ class Downloads:
         headers = {"cache-control": "no-store", "content-disposition": disposition}
         return Response(content, media_type="application/zip", headers=headers)
 
+    async def learner(self, name: str) -> Response:
+        """Return a response with the attempts of a learner as a zip file: CSV and xAPI statements.
+
+        Raises
+        ------
+        CarinaError
+            If there is no such learner.
+        """
+        texts = await asyncio.to_thread(self._session.ask, LearnerFiles(name))
+        headers = {"cache-control": "no-store", "content-disposition": 'attachment; filename="learner.zip"'}
+        return Response(_zipped(texts), media_type="application/zip", headers=headers)
+
     def _make(self, path: Path, volume: Any, airways: Any, is_cancelled: threading.Event) -> Path:
         try:
             return self._export(path, volume, airways)
@@ -119,8 +131,12 @@ class Downloads:
 
 
 def _zipped_log(score: Score) -> bytes:
+    return _zipped(flight_log(score))
+
+
+def _zipped(texts: dict[str, str]) -> bytes:
     content = io.BytesIO()
     with zipfile.ZipFile(content, "w", zipfile.ZIP_DEFLATED) as archive:
-        for name, text in flight_log(score).items():
+        for name, text in texts.items():
             archive.writestr(name, text)
     return content.getvalue()

@@ -16,7 +16,7 @@ from carina.server.to_wire.session import key_frames_message, route_message, sta
 from carina.server.to_wire.tree import tree_message
 from carina.server.windows.outbox import Outbox
 from carina.server.wire import messages as wire
-from carina.session import Session, log_fault
+from carina.session import CourseInfo, Session, log_fault
 from carina.volume import Citation
 
 logger = logging.getLogger(__name__)
@@ -138,11 +138,19 @@ class SharedTexts:
         standing = (info.standing, info.problem, info.reach_standing, info.reach_problem)
         return self._cached_text("lungs", lambda: lungs_message(info), *made, *standing)
 
-    def training(self) -> str:
-        """Return the encoded tasks, running attempt and scores of the open case."""
+    def training(self, *, with_learners: bool = True) -> str:
+        """Return the encoded tasks, running attempt and scores of the open case, and the learners of this machine."""
         info = self._session.ask(TrainingOf())
         return wire.encode_message(
-            wire.TrainingMessage(info.tasks, info.running, info.quiz, info.scores, info.verdict, info.references)
+            wire.TrainingMessage(
+                info.tasks,
+                info.running,
+                info.quiz,
+                info.scores,
+                info.verdict,
+                info.references,
+                info.course if with_learners else CourseInfo(),
+            )
         )
 
     def flights(self) -> str:

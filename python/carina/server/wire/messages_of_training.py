@@ -8,7 +8,7 @@ from msgspec import Meta
 
 from carina.commands.fields import Words
 from carina.server.wire.codec import ServerMessage
-from carina.session import FlightScore, QuizInfo, ReferenceScores, RunningTask, TaskInfo
+from carina.session import CourseInfo, FlightScore, QuizInfo, ReferenceScores, RunningTask, TaskInfo
 
 
 class TrainingMessage(ServerMessage, frozen=True):
@@ -25,3 +25,5 @@ class TrainingMessage(ServerMessage, frozen=True):
     verdict: Words | None
     """Verdict on mastery over the inspections among these flights; null without one."""
     references: Annotated[tuple[ReferenceScores, ...], Meta(max_length=100)]
+    course: CourseInfo
+    """Learners of this machine, and the attempts of the chosen one."""

@@ -65,7 +65,7 @@ class DeviceHandlers(CommandHandlers):
         """Accept a sample of a device, from any thread and at any rate; samples are ignored while no case is open."""
         with self.core.lock:
             case = self.core.case
-            if case is None:
+            if case is None or self.core.tip_held:
                 return
             before = case.pilot.control
             now_s = self.core.clock()
@@ -91,7 +91,7 @@ class DeviceHandlers(CommandHandlers):
         with self.core.lock:
             self.core.device_woken.clear()
             case = self.core.case
-            if case is None:
+            if case is None or self.core.tip_held:
                 return False
             before, mode = case.navigator.pose, case.navigator.mode
             case.pilot.apply(moves.Frame(self.core.clock()))

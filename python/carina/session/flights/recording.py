@@ -78,6 +78,16 @@ class FlightRecorder(CommandHandlers):
         if self._recorder is not None:
             self._recorder.note_task_end(outcome, self.core.clock())
 
+    def pause(self) -> None:
+        """Stop the time of the recording; the caller holds the session's lock."""
+        if self._recorder is not None:
+            self._recorder.pause(self.core.clock())
+
+    def resume(self) -> None:
+        """Continue the recording after a pause; the caller holds the session's lock."""
+        if self._recorder is not None:
+            self._recorder.resume(self.core.clock())
+
     @does(c.RecordFlight)
     def start(self, command: c.RecordFlight) -> None:
         """Start a recording in the current mode of movement.
@@ -150,6 +160,7 @@ class FlightRecorder(CommandHandlers):
             recorder, self._recorder = self._recorder, None
             if recorder is None:
                 return None
+            recorder.resume(self.core.clock())
             recorder.tick(self.core.clock())
             recorder.close()
             if recorder.trouble is None:

@@ -57,6 +57,9 @@ __all__ = [
     "restore",
 ]
 
+EXPERT = "expert"
+"""Key of the number of the expert's flight among the numbers of a case; 0 without one."""
+
 
 @dataclass(frozen=True, slots=True)
 class PendingMask:
@@ -186,6 +189,16 @@ class OpenCase:
         """Return the next number for objects of a kind (target, key frame, flight), which no such object had before."""
         self.numbers[what] = self.numbers.get(what, 0) + 1
         return self.numbers[what]
+
+    @property
+    def expert_flight(self) -> int | None:
+        """Number of the flight that is marked as the expert's; None without one, or if it was deleted."""
+        number = self.numbers.get(EXPERT, 0)
+        return number if any(one.recording_id == number for one in self.flights.listed) else None
+
+    @expert_flight.setter
+    def expert_flight(self, number: int | None) -> None:
+        self.numbers[EXPERT] = number or 0
 
     @property
     def case_id(self) -> str:

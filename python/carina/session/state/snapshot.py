@@ -174,6 +174,8 @@ class FlightInfo(FrozenValue, frozen=True):
     """Start of the recording, in seconds since 1970."""
     length_s: float
     """Length in s; 0 while the flight is being recorded."""
+    is_expert: bool
+    """Whether the flight is marked as the expert's, with which other flights are compared."""
     state: Literal["recording", "complete", "cut-off"]
     """*cut-off*: Carina was stopped during the recording; the flight contains what was written until then."""
 

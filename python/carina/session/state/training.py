@@ -22,6 +22,8 @@ class TaskInfo(FrozenValue, frozen=True):
     """Whether the window shows the names of branches during an attempt."""
     tree_shown: bool
     """Whether the window shows the airway tree during an attempt."""
+    ghost_shown: bool
+    """Whether the window shows the expert's tip during an attempt, if the case has an expert's flight."""
     problem: Words | None
     """Reason why the open case is unsuitable for the task; null if it is suitable."""
 
@@ -43,6 +45,8 @@ class RunningTask(FrozenValue, frozen=True):
     """The latest event of the flight, for a few seconds."""
     is_warning: bool = False
     """Whether the message reports a fault, such as a wrong branch or a contact with the wall."""
+    paused: bool = False
+    """Whether the attempt is paused: the clock stands still, and the tip does not move."""
 
 
 class ScoreMoment(FrozenValue, frozen=True):
@@ -80,6 +84,27 @@ class UnmarkedMeasures(FrozenValue, frozen=True):
     """Share of the time with the lumen in the middle of the picture."""
 
 
+class SegmentVisit(FrozenValue, frozen=True):
+    """When and how a segment of the case was seen in a flight."""
+
+    name: Words
+    branch_ids: tuple[Annotated[int, Meta(ge=0, le=2**31)], ...]
+    """Branches that begin at the openings of the segment."""
+    seen_s: float | None
+    """Time from the start of the flight; null if the segment was not seen."""
+    entered: bool
+    """Whether the tip entered the segment; otherwise it was seen from outside."""
+
+
+class TimelineMark(FrozenValue, frozen=True):
+    """Event on the timeline of a flight."""
+
+    at_s: float
+    """Time from the start of the flight."""
+    kind: Literal["seen", "contact", "wrong", "revisit"]
+    name: Words
+
+
 class FlightScore(FrozenValue, frozen=True):
     """Scores of a recorded flight."""
 
@@ -105,6 +130,14 @@ class FlightScore(FrozenValue, frozen=True):
     notes: tuple[Words, ...]
     moments: tuple[ScoreMoment, ...]
     """At most three moments to replay: the longest contacts, wrong branches, and revisits."""
+    segments: tuple[SegmentVisit, ...]
+    """Segments of the case, for the map of the tree."""
+    timeline: tuple[TimelineMark, ...]
+    clock_start_s: float
+    """Time at which the clock started, from the start of the flight."""
+    clock_end_s: float
+    comparison: tuple[Words, ...]
+    """Differences from the expert's flight; empty before the comparison."""
 
 
 class ReferenceScores(FrozenValue, frozen=True):
@@ -121,7 +154,7 @@ class ReferenceScores(FrozenValue, frozen=True):
 class QuizInfo(FrozenValue, frozen=True):
     """A running quiz: its present question, and the answers so far."""
 
-    kind: Literal["name-opening", "where-are-you"]
+    kind: Literal["name-opening", "where-are-you", "slices"]
     number: Count
     """Number of the present question, from 1."""
     num_questions: Count
@@ -138,6 +171,53 @@ class QuizInfo(FrozenValue, frozen=True):
     """Whether all questions are answered."""
 
 
+class LearnerInfo(FrozenValue, frozen=True):
+    """A learner of the course."""
+
+    name: OwnName
+    """Pseudonym."""
+    num_attempts: Count
+    num_counted: Count
+    """Number of inspections that count in the verdict."""
+    mastery: bool | None
+    """Whether mastery was reached; null with fewer than six attempts that count."""
+    verdict: Words
+
+
+class CourseAttemptInfo(FrozenValue, frozen=True):
+    """A stored attempt of the chosen learner; the measures are those of `PublishedScores` and `UnmarkedMeasures`."""
+
+    number: Count
+    """Number of the attempt, from 1, in the order in which they were stored."""
+    task: OwnName
+    title: Words
+    is_inspection: bool
+    completed: bool
+    num_steps_done: Count
+    num_steps: Count
+    counts: bool
+    """Whether the attempt counts in the verdict on mastery."""
+    reasons: tuple[Words, ...]
+    """Reasons why an inspection does not count."""
+    published: PublishedScores
+    num_contacts: Count
+    middle_share: Part
+
+
+class CourseInfo(FrozenValue, frozen=True):
+    """The learners of this machine, and the attempts of the chosen one."""
+
+    stores: bool = False
+    """Whether this session can store learners."""
+    learners: tuple[LearnerInfo, ...] = ()
+    chosen: OwnName | None = None
+    """Pseudonym of the learner whose attempts are stored; null: attempts are not stored."""
+    attempts: tuple[CourseAttemptInfo, ...] = ()
+    """Attempts of the chosen learner."""
+    problems: tuple[Words, ...] = ()
+    """Files that cannot be read, and scores that could not be stored yet."""
+
+
 class TrainingInfo(FrozenValue, frozen=True):
     """Tasks, the running attempt or quiz, and scores of flights of the open case."""
 
@@ -149,3 +229,4 @@ class TrainingInfo(FrozenValue, frozen=True):
     verdict: Words | None = None
     """Verdict on mastery over the inspections among these flights; null without one."""
     references: tuple[ReferenceScores, ...] = ()
+    course: CourseInfo = CourseInfo()

@@ -10,11 +10,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from carina import commands as c
+from carina.case.document import Document
 from carina.case.scope_choice import document_with_scope
 from carina.errors import NoResultError, UsageError
 from carina.navigate import FlightPath
 from carina.navigate.moves import LayScope
-from carina.navigate.recording import TaskOutcome, read_recording
+from carina.navigate.recording import Recording, TaskOutcome, read_recording
 from carina.scopes import DEFAULT_SCOPE, WallField, scope_preset
 from carina.session.command_registry import CommandHandlers, answers, does
 from carina.session.derived.derived_value import Cached
@@ -25,11 +26,24 @@ from carina.session.jobs.background_jobs import Job
 from carina.session.open_case.open_case import OpenCase, as_point
 from carina.session.state.snapshot import UserMessage
 from carina.session.state.training import TaskInfo, TrainingInfo
+from carina.session.training.course import CourseHandlers
 from carina.session.training.live_attempt import LiveAttempt
+from carina.session.training.planned_tasks import planned_task
 from carina.session.training.quizzes import QuizHandlers
 from carina.session.training.scores import flight_score, references, task_infos, verdict_words
 from carina.track import Airways, AirwayTree
-from carina.training import Score, Task, find_task, flight_frames, score_flight, task_of_flight, task_to_json
+from carina.training import (
+    CaseSegment,
+    FlightComparison,
+    Score,
+    Task,
+    find_task,
+    flight_frames,
+    score_flight,
+    segments_of_case,
+    task_of_flight,
+    task_to_json,
+)
 from carina.training.flight_frames import FlightOptics
 
 if TYPE_CHECKING:
@@ -58,6 +72,8 @@ class _CaseTraining:
     attempt: LiveAttempt | None = None
     scores: dict[int, Score] = field(default_factory=dict)
     """Score of each flight that was scored since the case was opened, by its number."""
+    comparisons: dict[int, FlightComparison] = field(default_factory=dict)
+    """Comparison of each such flight with the expert's, by its number."""
 
 
 class TrainingHandlers(CommandHandlers):
@@ -71,19 +87,30 @@ class TrainingHandlers(CommandHandlers):
         Recorder of flights.
     quizzes
         The quiz on the open case, which an attempt ends.
+    course
+        The learners, to whom scored attempts are stored.
     text
         Returns the lines of a flight by its number; the call may wait for the disk.
     """
 
     def __init__(
-        self, core: SessionCore, recorder: FlightRecorder, quizzes: QuizHandlers, text: Callable[[int], str]
+        self,
+        core: SessionCore,
+        recorder: FlightRecorder,
+        quizzes: QuizHandlers,
+        course: CourseHandlers,
+        text: Callable[[int], str],
     ) -> None:
         super().__init__(core)
+        self._course = course
         self._quizzes = quizzes
         self._recorder = recorder
         self._text = text
         self._state: _CaseTraining | None = None
-        self._suitable: Cached[AirwayTree | None, tuple[TaskInfo, ...]] = Cached(task_infos)
+        self._segments: Cached[Airways | None, tuple[CaseSegment, ...]] = Cached(
+            lambda airways: () if airways is None else segments_of_case(airways.tree)
+        )
+        self._suitable: Cached[Document, tuple[TaskInfo, ...]] = Cached(task_infos, same=_same_tasks)
 
     def _of(self, case: OpenCase) -> _CaseTraining:
         """Return the attempt and the scores of a case; the caller holds the session's lock."""
@@ -101,12 +128,13 @@ class TrainingHandlers(CommandHandlers):
         ------
         NoResultError
             ``training.no-airways``: without airways. ``training.no-branch``, ``training.turns``,
-            ``training.no-segments``: if the case is unsuitable for the task.
+            ``training.no-segments``, ``training.no-plan``: if the case is unsuitable for the task.
         UsageError
             ``session.recording``: if a recording is running, or if the case is not stored.
         """
         case, task = self.core.needed_case(), find_task(command.task)
         with self.core.lock:
+            task = planned_task(task, case.document)
             airways = case.document.airways
             if airways is None:
                 raise NoResultError("a task needs the airways: wait for the search", code="training.no-airways")
@@ -152,9 +180,38 @@ class TrainingHandlers(CommandHandlers):
             flight=flight,
             begun_s=self.core.clock(),
             pose=case.navigator.pose,
+            learner=self._course.chosen,
         )
         self.core.changed("training", "flights", "state", "pose", "views")
         threading.Thread(target=self._watch, args=(case, attempt), name="carina-attempt", daemon=True).start()
+
+    @does(c.PauseTask)
+    def pause(self, command: c.PauseTask) -> None:
+        """Pause the attempt, or continue it; do nothing without an attempt."""
+        with self.core.lock:
+            case = self.core.needed_case()
+            attempt = self._of(case).attempt
+            if attempt is None or attempt.is_paused == command.paused:
+                return
+            if command.paused:
+                # The time before the pause belongs to the attempt.
+                attempt.sample(case.navigator.pose, self.core.clock())
+                attempt.pause(self.core.clock())
+                self._recorder.pause()
+                self.core.tip_held = True
+            else:
+                attempt.resume(self.core.clock())
+                self._release_tip(case)
+            self.core.changed("training")
+
+    def _release_tip(self, case: OpenCase) -> None:
+        """Let the tip move again after a pause; the caller holds the session's lock."""
+        if self.core.tip_held:
+            self._recorder.resume()
+            self.core.tip_held = False
+            # A device that has moved during the pause continues from its new position, without a jump of the tip.
+            for device in case.pilot.devices():
+                case.pilot.apply(c.DeviceGone(device.device))
 
     @does(c.StopTask)
     def stop(self, _command: c.StopTask) -> None:
@@ -217,13 +274,14 @@ class TrainingHandlers(CommandHandlers):
         """End an attempt, and score its flight; the caller holds the session's lock."""
         self._of(case).attempt = None
         attempt.ended.set()
+        self._release_tip(case)
         if self._recorder.flight_number == attempt.flight:
             self._recorder.note_task_end(outcome)
             self._recorder.stop()
         if reason is not None:
             self.core.emit(UserMessage(f"the task ended early, and the attempt does not count: {reason}"))
         self.core.changed("training", "flights", "state")
-        self._start_scoring(case, attempt.flight, attempt.task)
+        self._start_scoring(case, attempt.flight, attempt.task, learner=attempt.learner)
 
     def follow(self, case: OpenCase) -> None:
         """End the attempt after a change of the airways; the caller holds the session's lock."""
@@ -234,6 +292,7 @@ class TrainingHandlers(CommandHandlers):
     def discard(self) -> None:
         """Release attempt and scores, because their case is being closed; the caller holds the session's lock."""
         self._state = None
+        self.core.tip_held = False
 
     # ------------------------------------------------------------ scores
 
@@ -252,42 +311,71 @@ class TrainingHandlers(CommandHandlers):
         case = self.core.needed_case()
         task = None if command.task is None else find_task(command.task)
         with self.core.lock:
+            task = None if task is None else planned_task(task, case.document)
             flight = needed_flight(case, command.number)
             if running_flight(case) == command.number:
                 raise UsageError(f"{flight.name} is still being recorded; stop it first", code="session.flights")
             if case.document.airways is None:
                 raise NoResultError("a score needs the airways: wait for the search", code="training.no-airways")
-            return self._start_scoring(case, command.number, task)
+            return self._start_scoring(case, command.number, task, learner=self._course.chosen)
 
-    def _start_scoring(self, case: OpenCase, number: int, task: Task | None) -> str:
-        """Start the job that scores a flight; the caller holds the session's lock."""
+    def _start_scoring(self, case: OpenCase, number: int, task: Task | None, *, learner: str | None) -> str:
+        """Start the job that scores a flight, and stores the attempt of a learner; the caller holds the lock."""
         airways = case.document.airways
-        waiting = [one.unsaved_part() for one in case.flights.unwritten if one.number == number]
 
         def work(job: Job) -> None:
             if airways is None:
                 raise NoResultError("a score needs the airways: wait for the search", code="training.no-airways")
-            text = waiting[0][1] if waiting and waiting[0][0] == 0 else self._text(number)
-            recording = read_recording(io.StringIO(text), Path(f"flight {number}"))
-            with self.core.lock:
-                wall = case.wall.of(airways)
-            wall_mm: WallField
-            if wall is None:
-                wall_mm = self.core.parts.wall_field(
-                    case.info.volume, airways, progress=job.progress, cancel=job.cancel
-                )
-            else:
-                wall_mm = wall.field
-            chosen = task_of_flight(recording) if task is None else task
-            found = score_flight(airways.tree, wall_mm, flight_frames(recording), chosen, progress=job.progress)
+            recording, found = self.scored(case, airways, number, task, job)
+            # Only a flight that states its task is an attempt.
+            if learner is not None and recording.task is not None:
+                self._course.record(learner, found)
             with self.core.lock:
                 job.check()
                 if self.core.case is not case:
                     return
                 self._of(case).scores[number] = found
+                self._of(case).comparisons.pop(number, None)
                 self.core.changed("training")
 
         return self.core.jobs.start("score", "scoring the flight", work)
+
+    def scored(
+        self, case: OpenCase, airways: Airways, number: int, task: Task | None, job: Job
+    ) -> tuple[Recording, Score]:
+        """Return the recording of a flight, and its score; called in a job, without the session's lock.
+
+        Parameters
+        ----------
+        case, airways
+            The case and its airways.
+        number
+            Number of the flight.
+        task
+            Task of the score; None takes the task that the flight states.
+        job
+            The job.
+        """
+        with self.core.lock:
+            waiting = [one.unsaved_part() for one in case.flights.unwritten if one.number == number]
+            wall = case.wall.of(airways)
+        text = waiting[0][1] if waiting and waiting[0][0] == 0 else self._text(number)
+        recording = read_recording(io.StringIO(text), Path(f"flight {number}"))
+        wall_mm: WallField
+        if wall is None:
+            wall_mm = self.core.parts.wall_field(case.info.volume, airways, progress=job.progress, cancel=job.cancel)
+        else:
+            wall_mm = wall.field
+        chosen = task_of_flight(recording) if task is None else task
+        return recording, score_flight(airways.tree, wall_mm, flight_frames(recording), chosen, progress=job.progress)
+
+    def note_comparison(self, case: OpenCase, number: int, comparison: FlightComparison) -> None:
+        """Store the comparison of a flight with the expert's; the caller holds the session's lock."""
+        self._of(case).comparisons[number] = comparison
+
+    def forget_comparisons(self, case: OpenCase) -> None:
+        """Delete the comparisons, because the expert's flight has changed; the caller holds the session's lock."""
+        self._of(case).comparisons.clear()
 
     @answers(c.ScoreOf)
     def score_of(self, question: c.ScoreOf) -> Score:
@@ -304,21 +392,26 @@ class TrainingHandlers(CommandHandlers):
         """Return the tasks, the running attempt and the scores."""
         case = self.core.case
         if case is None:
-            return TrainingInfo()
+            with self.core.lock:
+                return TrainingInfo(course=self._course.info())
         with self.core.lock:
-            airways, state = case.document.airways, self._of(case)
-            tasks = self._suitable.of(None if airways is None else airways.tree)
+            state = self._of(case)
+            tasks = self._suitable.of(case.document)
             numbers = [one.recording_id for one in case.flights.listed]
             listed = [(number, state.scores[number]) for number in numbers if number in state.scores]
             quiz = self._quizzes.info_of(case)
             running = None if state.attempt is None else state.attempt.info(self.core.clock())
+            course = self._course.info()
+            compared = dict(state.comparisons)
+            segments = self._segments.of(case.document.airways)
         return TrainingInfo(
             tasks=tasks,
             running=running,
             quiz=quiz,
-            scores=tuple(flight_score(number, one) for number, one in listed),
+            scores=tuple(flight_score(number, one, segments, compared.get(number)) for number, one in listed),
             verdict=verdict_words([one for _, one in listed]),
             references=references(),
+            course=course,
         )
 
 
@@ -327,3 +420,8 @@ def entry_way(tree: AirwayTree) -> tuple[tuple[float, float, float], ...]:
     children = [one for one in tree.branches if one.parent == tree.root.id]
     end = max(children, key=lambda one: one.length_mm, default=tree.root).id
     return tuple(as_point(point) for point in tree.route_to(end).points_lps)
+
+
+def _same_tasks(a: Document, b: Document) -> bool:
+    """Return whether two documents suit the same tasks."""
+    return a.airways is b.airways and a.route is b.route and a.targets is b.targets

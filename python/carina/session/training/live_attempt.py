@@ -40,6 +40,8 @@ class LiveAttempt:
         Time of the beginning on the session's clock.
     pose
         Pose of the tip at the beginning.
+    learner
+        Pseudonym of the learner to whom the score is stored; None stores no score.
     """
 
     def __init__(
@@ -52,7 +54,9 @@ class LiveAttempt:
         flight: int,
         begun_s: float,
         pose: Pose,
+        learner: str | None = None,
     ) -> None:
+        self.learner = learner
         self.task, self.airways, self.flight, self.begun_s = task, airways, flight, begun_s
         self._optics = optics
         self._scorer = FlightScorer(airways.tree, wall, task)
@@ -66,6 +70,23 @@ class LiveAttempt:
         self.pause_s = 0.0
         """Smallest time from the newest score to the next one."""
         self._score: Score | None = None
+        self._paused_s: float | None = None
+
+    @property
+    def is_paused(self) -> bool:
+        """Whether the attempt is paused."""
+        return self._paused_s is not None
+
+    def pause(self, now_s: float) -> None:
+        """Stop the clock of the attempt."""
+        if self._paused_s is None:
+            self._paused_s = now_s
+
+    def resume(self, now_s: float) -> None:
+        """Continue the clock of the attempt after a pause."""
+        if self._paused_s is not None:
+            self.begun_s += max(now_s - self._paused_s, 0.0)
+            self._paused_s = None
 
     @property
     def score(self) -> Score | None:
@@ -78,8 +99,9 @@ class LiveAttempt:
         return self._optics.scope.name
 
     def elapsed_s(self, now_s: float) -> float:
-        """Return the time since the beginning of the attempt."""
-        return max(now_s - self.begun_s, 0.0)
+        """Return the time since the beginning of the attempt, without its pauses."""
+        at_s = now_s if self._paused_s is None else self._paused_s
+        return max(at_s - self.begun_s, 0.0)
 
     def is_over(self, now_s: float) -> bool:
         """Return whether the time limit has passed."""
@@ -125,7 +147,9 @@ class LiveAttempt:
         """Return the state of the attempt for the windows."""
         task, score = self.task, self._score
         elapsed_s = self.elapsed_s(now_s)
-        base = RunningTask(task=task.name, flight=self.flight, elapsed_s=round(elapsed_s, 1), num_steps=0)
+        base = RunningTask(
+            task=task.name, flight=self.flight, elapsed_s=round(elapsed_s, 1), num_steps=0, paused=self.is_paused
+        )
         if score is None:
             return base
         latest = self._latest_event(score, elapsed_s)
@@ -144,8 +168,10 @@ class LiveAttempt:
         if task.kind in {"sequence", "find"}:
             # The title of the task names these segments.
             return next((name for name in task.segments if name not in done), None)
-        if task.kind == "turns":
+        if task.kind in {"turns", "pass"}:
             return next((name for name in task.branches if name not in done), None)
+        if task.kind == "stations":
+            return next((f"station {name}" for name in task.stations if name not in done), None)
         if task.kind == "inspect":
             steps = [*([title for title, _ in LANDMARKS] if task.order == "landmarks" else []), *score.case_segments]
             return next((name for name in steps if name not in done), None)
@@ -176,8 +202,10 @@ _EVENT_WORDS = {
     "landmark": "landmark",
     "entered": "entered",
     "held": "held",
+    "station": "station located",
+    "reached": "reached",
 }
-_STEPS = frozenset({"landmark", "entered", "held"})
+_STEPS = frozenset({"landmark", "entered", "held", "station", "reached"})
 """Kinds of events whose name the task states."""
 _VISITS = frozenset({"visit", "revisit"})
 """Kinds of events that name a segment of an inspection after its visit."""

@@ -4,8 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+import msgspec
+
 from carina import commands as c
 from carina.errors import NoResultError, UsageError
+from carina.render import FlatPlace, Sight
 from carina.scopes import WallField
 from carina.session.command_registry import CommandHandlers, does
 from carina.session.flights.tip_commands import place_pose
@@ -13,6 +16,10 @@ from carina.session.open_case.open_case import OpenCase
 from carina.session.state.training import QuizInfo
 from carina.track import Airways
 from carina.training import QuizKind, QuizQuestion, quiz_questions
+from carina.volume.anatomical_planes import PLANES
+
+SLICE_MM_PER_PX = 0.4
+"""Scale of the slices at a question with three slices."""
 
 
 @dataclass(slots=True)
@@ -26,6 +33,8 @@ class _Quiz:
     answers: list[str] = field(default_factory=list)
     at: int = 0
     """Index of the present question."""
+    sight: Sight = field(default_factory=Sight)
+    """Sight before the quiz, whose crosshair and zoom are restored."""
 
     @property
     def info(self) -> QuizInfo:
@@ -77,12 +86,21 @@ class QuizHandlers(CommandHandlers):
         if self.core.case is not case or case.document.airways is not airways:
             return
         questions = quiz_questions(airways.tree, wall, command.kind, num=command.num, seed=command.seed)
-        self._quiz = _Quiz(case, airways, command.kind, questions)
+        self._end()
+        self._quiz = _Quiz(case, airways, command.kind, questions, sight=case.sight)
         self._ask()
 
     def _ask(self) -> None:
         assert self._quiz is not None
-        self.core.fly(place_pose(self._quiz.questions[self._quiz.at].pose))
+        question = self._quiz.questions[self._quiz.at]
+        self.core.fly(place_pose(question.pose))
+        place = question.place_lps
+        if place is not None:
+            near = {view: FlatPlace(mm_per_px=SLICE_MM_PER_PX) for view in PLANES}
+            self.core.see(
+                self._quiz.case,
+                lambda sight: msgspec.structs.replace(sight, crosshair_lps=place, zoom={**sight.zoom, **near}),
+            )
         self.core.changed("training")
 
     @does(c.AnswerQuiz)
@@ -141,14 +159,24 @@ class QuizHandlers(CommandHandlers):
     def stop(self, _command: c.StopQuiz) -> None:
         """End the quiz; do nothing without one."""
         with self.core.lock:
-            self._quiz = None
+            self._end()
             self.core.changed("training")
+
+    def _end(self) -> None:
+        """End the quiz, and restore crosshair and zoom; the caller holds the session's lock."""
+        quiz, self._quiz = self._quiz, None
+        if quiz is not None and quiz.kind == "slices" and quiz.case is self.core.case:
+            before = quiz.sight
+            self.core.see(
+                quiz.case,
+                lambda sight: msgspec.structs.replace(sight, crosshair_lps=before.crosshair_lps, zoom=before.zoom),
+            )
 
     def follow(self, case: OpenCase) -> None:
         """End the quiz after a change of the airways; the caller holds the session's lock."""
         quiz = self._quiz
         if quiz is not None and (quiz.case is not case or case.document.airways is not quiz.airways):
-            self._quiz = None
+            self._end()
             self.core.changed("training")
 
     def discard(self) -> None:

@@ -3,19 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Literal
 
+from carina.case.document import Document
 from carina.errors import CarinaError
 from carina.session.state.training import (
     FlightScore,
     PublishedScores,
     ReferenceScores,
     ScoreMoment,
+    SegmentVisit,
     TaskInfo,
+    TimelineMark,
     UnmarkedMeasures,
 )
+from carina.session.training.planned_tasks import planned_task
 from carina.track import AirwayTree
 from carina.training import (
     REFERENCE_GROUPS,
+    CaseSegment,
+    FlightComparison,
     FlightEvent,
     Score,
     Task,
@@ -29,6 +36,14 @@ LEVELS = ("beginner", "intermediate", "advanced")
 MAX_MOMENTS = 3
 _FAULTS = ("wrong-branch", "wrong-segment", "contact", "revisit")
 """Kinds of faults, the first ones the most serious ones."""
+_TIMELINE: dict[str, Literal["seen", "contact", "wrong", "revisit"]] = {
+    "seen": "seen",
+    "contact": "contact",
+    "wrong-branch": "wrong",
+    "wrong-segment": "wrong",
+    "revisit": "revisit",
+}
+"""Kinds of events on the timeline."""
 _FAULT_WORDS = {
     "wrong-branch": "wrong branch",
     "wrong-segment": "another segment",
@@ -37,10 +52,11 @@ _FAULT_WORDS = {
 }
 
 
-def task_infos(tree: AirwayTree | None) -> tuple[TaskInfo, ...]:
+def task_infos(document: Document) -> tuple[TaskInfo, ...]:
     """Return the built-in tasks, the easiest first, each with the reason why a case is unsuitable for it."""
+    tree = None if document.airways is None else document.airways.tree
     tasks = sorted(map(find_task, task_names()), key=lambda task: (LEVELS.index(task.level), task.name))
-    return tuple(_task_info(task, tree) for task in tasks)
+    return tuple(_task_info(planned_task(task, document), tree) for task in tasks)
 
 
 def _task_info(task: Task, tree: AirwayTree | None) -> TaskInfo:
@@ -59,12 +75,27 @@ def _task_info(task: Task, tree: AirwayTree | None) -> TaskInfo:
         task.time_limit_s,
         names_shown=task.names_shown,
         tree_shown="tree" in task.hints,
+        ghost_shown="ghost" in task.hints,
         problem=problem,
     )
 
 
-def flight_score(flight: int, score: Score) -> FlightScore:
-    """Return the score of a flight for the windows."""
+def flight_score(
+    flight: int, score: Score, segments: Sequence[CaseSegment] = (), comparison: FlightComparison | None = None
+) -> FlightScore:
+    """Return the score of a flight for the windows.
+
+    Parameters
+    ----------
+    flight
+        Number of the flight.
+    score
+        Its score.
+    segments
+        Segments of the case, for the map of the tree.
+    comparison
+        Comparison with the expert's flight; None without one.
+    """
     task, result = score.task, score.result
     return FlightScore(
         flight=flight,
@@ -96,6 +127,22 @@ def flight_score(flight: int, score: Score) -> FlightScore:
         doubts=tuple(one.words for one in score.doubts),
         notes=score.notes,
         moments=worst_moments(score),
+        segments=_segment_visits(score, segments),
+        timeline=tuple(
+            TimelineMark(one.time_s, _TIMELINE[one.kind], one.name) for one in score.events if one.kind in _TIMELINE
+        ),
+        clock_start_s=score.clock_start_s,
+        clock_end_s=score.clock_end_s,
+        comparison=() if comparison is None else comparison.lines(),
+    )
+
+
+def _segment_visits(score: Score, segments: Sequence[CaseSegment]) -> tuple[SegmentVisit, ...]:
+    """Return when and how each segment of the case was seen."""
+    seen = {one.name: one.time_s for one in score.events if one.kind == "seen"}
+    entered = {one.name for one in score.events if one.kind in {"visit", "revisit"} and one.detail == "entered"}
+    return tuple(
+        SegmentVisit(one.name, one.branch_ids, seen.get(one.name), entered=one.name in entered) for one in segments
     )
 
 

@@ -1,4 +1,5 @@
 import { useEffect, useState } from "react";
+import { keyOf } from "../../input/keymap";
 import { fixed, sentence } from "../../state/format";
 import { clock } from "../../state/playing";
 import {
@@ -13,6 +14,7 @@ import {
   timeText,
 } from "../../state/training";
 import type { FlightScore, QuizInfo, TaskInfo } from "../../wire/messages";
+import { CoursePanel } from "../CoursePanel";
 import { useApp, useStation } from "../context";
 import { Act } from "../controls";
 import { Icon } from "../icons";
@@ -32,6 +34,7 @@ export function TrainStep() {
         Choose a task to fly with a simulated bronchoscope. The flight is recorded in this case and scored by published
         measures.
       </p>
+      <CoursePanel course={training.course} />
       <ScopeSelect />
       <ul className="key-list" aria-label="Tasks" data-testid="tasks">
         {training.tasks.map((task) => (
@@ -94,6 +97,13 @@ function Quizzes() {
           testId="quiz-where-are-you"
           onPress={() => station.startQuiz("where-are-you")}
         />
+        <Act
+          label="Three slices"
+          words="Which opening of the fork leads to the place where three slices meet?"
+          disabled={!ready}
+          testId="quiz-slices"
+          onPress={() => station.startQuiz("slices")}
+        />
       </div>
     </>
   );
@@ -128,10 +138,10 @@ function RunningQuiz({ quiz }: { quiz: QuizInfo }) {
       <p role="status" className={quiz.given === quiz.answer ? undefined : "warning-text"} data-testid="quiz-answer">
         {answer ?? ""}
       </p>
-      {moved ? (
+      {moved || quiz.kind === "slices" ? (
         <Act
           label="Back to the question"
-          words="Place the tip again where the question was asked"
+          words="Place the tip and the slices again where the question was asked"
           testId="quiz-back"
           onPress={() => station.send({ type: "repeat_question" })}
         />
@@ -174,6 +184,18 @@ function RunningAttempt({ attempt }: { attempt: Attempt }) {
         <p className="quiet">Done: {attempt.running.steps_done.join(", ")}</p>
       )}
       <Act
+        icon={attempt.running.paused ? "play" : "pause"}
+        label={attempt.running.paused ? "Continue" : "Pause"}
+        words={
+          attempt.running.paused
+            ? "Continue the attempt: the clock runs again"
+            : "Pause: the clock stops and the tip does not move. A paused attempt is scored, but does not count."
+        }
+        keys={keyOf("pause_task")}
+        testId="pause-task"
+        onPress={station.pauseTask}
+      />
+      <Act
         kind="primary"
         icon="stop"
         label="End the task"
@@ -192,7 +214,8 @@ function RunningAttempt({ attempt }: { attempt: Attempt }) {
 /** Interval at which the clock of an attempt is updated, ms. */
 const CLOCK_MS = 200;
 
-function AttemptClock({ attempt }: { attempt: Attempt }) {
+/** Render the time of an attempt. */
+export function AttemptClock({ attempt }: { attempt: Attempt }) {
   const { running } = attempt;
   const [since, setSince] = useState({ running, atMs: performance.now() });
   const [nowMs, setNowMs] = useState(since.atMs);
@@ -201,7 +224,8 @@ function AttemptClock({ attempt }: { attempt: Attempt }) {
     const timer = setInterval(() => setNowMs(performance.now()), CLOCK_MS);
     return () => clearInterval(timer);
   }, []);
-  const elapsedS = running.elapsed_s + Math.max(nowMs - since.atMs, 0) / 1000;
+  const sinceMs = running.paused ? 0 : Math.max(nowMs - since.atMs, 0);
+  const elapsedS = running.elapsed_s + sinceMs / 1000;
   return (
     <p className="attempt-clock numbers" data-testid="attempt-clock">
       {timeText(attempt, elapsedS)}
