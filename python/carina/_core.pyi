@@ -51,8 +51,10 @@ class WallField:
         progress: Callable[[float], None] | None = None,
     ) -> WallField:
         """Create a field from a closed mesh."""
-    def with_tube(self, axis_lps: NDArray[np.float64], radius_mm: Sequence[float]) -> WallField:
-        """Return a field whose lumen also contains a tube."""
+    def with_tube(
+        self, axis_lps: NDArray[np.float64], radius_mm: Sequence[float], excess_mm: Sequence[float]
+    ) -> WallField:
+        """Return a field whose lumen also contains a tube, near which the sampled wall is moved inwards."""
     @property
     def has_tube(self) -> bool: ...
     def distance_mm(self, points_lps: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -46,7 +46,7 @@ def test_measured_lumen_has_the_true_radius_where_the_segmented_one_is_too_narro
         true_mm = radii[near][own]
         segmented.append(wall.distance_mm(axis[own]) - true_mm)
         measured.append(lumen.widened(wall).distance_mm(axis[own]) - true_mm)
-        least.append(lumen.widened(wall, error_share=0.78).distance_mm(axis[own]) - true_mm)
+        least.append(lumen.narrowest(wall, error_share=0.78).distance_mm(axis[own]) - true_mm)
     narrow, wide, low = (np.concatenate(part) for part in (segmented, measured, least))
     assert len(wide) > 100
     assert np.median(narrow) < -0.2 and abs(np.median(wide)) < 0.2
@@ -98,7 +98,7 @@ def test_measured_lumen_beside_a_short_stenosis_does_not_fill_the_stenosis(lengt
     axis = np.stack([np.zeros_like(at), np.zeros_like(at), at], axis=1)
     ball = wall.ball_mm(axis)
     radius = np.where(np.abs(at) <= 0.5 * length_mm, 0.7, 1.5)
-    wide = MeasuredLumen(axis, ball, radius - ball, np.zeros_like(at)).widened(wall)
+    wide = MeasuredLumen(axis, ball, radius - ball, np.zeros_like(at), ball - radius).widened(wall)
     assert wide.distance_mm(axis).min() < 0.8
     assert wide.distance_mm([[0.0, 0.0, 3.0]])[0] == pytest.approx(1.5, abs=0.01)
 
@@ -111,6 +111,23 @@ def test_measured_lumen_without_a_narrow_place_or_a_lack_leaves_the_wall_unchang
     measures = measures_of(phantom_plan.volume(), phantom_plan.airways(), None)
     found = measured_lumen([trachea], wall, measures)
     assert found is None or (found.widened(wall).distance_mm(trachea.points) >= wall.distance_mm(trachea.points)).all()
+
+
+def test_narrowest_lumen_is_narrower_than_a_segmented_lumen_that_is_too_wide() -> None:
+    wall = phantom_plan.wall()
+    lumen = lumen_of(lineages()[0])
+    half_mm = 0.5 * lumen.error_mm
+    wide = dataclasses.replace(lumen, lack_mm=np.full_like(half_mm, -0.5), surplus_mm=np.full_like(half_mm, 0.5))
+    assert wide.widened(wall) is wall
+    narrow = wide.narrowest(wall, error_share=0.8)
+    # Beside the axis, where the field of samples is exact, the wall moves by the surplus and the error.
+    across = np.cross(np.gradient(lumen.axis_lps, axis=0), [0.3, 0.5, 0.8])
+    aside = lumen.axis_lps + 0.4 * lumen.ball_mm[:, None] * across / np.linalg.norm(across, axis=1, keepdims=True)
+    before, after = wall.distance_mm(aside)[5:-5], narrow.distance_mm(aside)[5:-5]
+    assert before - after == pytest.approx(0.5 + 0.8 * half_mm[5:-5], abs=0.15)
+    # A surplus that is nowhere above the error changes nothing.
+    exact = dataclasses.replace(wide, surplus_mm=np.full_like(half_mm, -np.inf))
+    assert exact.narrowest(wall, error_share=0.8) is wall
 
 
 def test_routes_of_a_plan_have_their_measured_lumen_and_can_be_pickled() -> None:

@@ -20,13 +20,15 @@ from phantom_plan import airways, clip, plan, sheet, still, turns, verdicts, vol
 from carina.cli.plan import lines
 from carina.errors import CancelledError, CarinaError, UsageError
 from carina.export.plan_content import drawn_plans
-from carina.plan import STATION_NOTE, ScoreWeights, TargetDoubt, route_stations
+from carina.plan import STATION_NOTE, ScoreWeights, TargetDoubt, plan_route, route_stations
 from carina.plan.hand_moves import Move
+from carina.plan.reasons import reasons_against
 from carina.plan.report import make_sheet, write_report
 from carina.plan.report.blocks import Block, Bullets, Facts, Figure, Figures, ReportTable, Words
 from carina.plan.report.drawing import Label
 from carina.plan.report.sections import sections
 from carina.plan.report.tracing import tracing_drawings
+from carina.plan.routes.ct_notes import ct_notes
 from carina.plan.routes.last_leg import CrossedTissue, NearVessel
 from carina.plan.targets.edits import BRUSHED
 from carina.plan.turns.fork_view import HourDoubt
@@ -227,6 +229,26 @@ def test_lasting_notes_of_the_ct_are_among_the_uncertainties_of_the_report(tmp_p
     noted = Volume(ct.hu_zyx, ct.lps_from_ijk, is_hu=ct.is_hu, not_hu_reason=ct.not_hu_reason, source=source)
     assert "The gantry was tilted by 12.0 degrees." in sheet(volume=noted).uncertain
     assert "The gantry was tilted" in page(tmp_path, volume=noted)
+
+
+def test_lasting_notes_of_the_ct_are_reasons_against_each_plan_without_file_names() -> None:
+    ct, found = volume(), airways()
+    notes = (
+        Note("import.tilt-corrected", "the gantry was tilted by 12.0 degrees", badge=True),
+        Note("import.files-unread", "SURNAME.dcm could not be used", badge=True),
+    )
+    source = dataclasses.replace(ct.source, notes=(*ct.source.notes, *notes))
+    noted = Volume(ct.hu_zyx, ct.lps_from_ijk, is_hu=ct.is_hu, not_hu_reason=ct.not_hu_reason, source=source)
+    words = ct_notes(noted, found)
+    assert "the gantry was tilted by 12.0 degrees" in words
+    assert any("import.files-unread" in one for one in words) and "SURNAME" not in "".join(words)
+    planned = plan_route(noted, found, plan().nodule, wall=wall(), drives=0, confirmed=True, progress=False)
+    assert {(one.code, one.words) for one in reasons_against(planned)} >= {
+        ("plan.note", "The gantry was tilted by 12.0 degrees.")
+    }
+    thick = np.diag([ct.spacing_mm[0], ct.spacing_mm[1], 3.0, 1.0])
+    coarse = Volume(ct.hu_zyx, thick, is_hu=ct.is_hu, not_hu_reason=ct.not_hu_reason, source=ct.source)
+    assert any(one.startswith("slices are 3.0 mm apart") for one in ct_notes(coarse, found))
 
 
 def _strokes(report) -> list:

@@ -13,11 +13,12 @@ from observers import insecure, sharing, watching
 from carina.commands import AddLearner
 from carina.errors import NoResultError, VolumeImportError
 from carina.server.network.access_checks import comes_from_this_machine
-from carina.server.observers.window import WITHOUT_NAMES, observer_error, observer_notes
+from carina.server.observers.window import observer_error, observer_notes
 from carina.server.wire import messages as wire
 from carina.server.wire.messages_from_server import CaseNote
 from carina.training import Course, task_names
 from carina.volume import Note
+from carina.volume.note_privacy import WITHOUT_NAMES
 from small_case import small_volume
 
 pytest.importorskip("cryptography")

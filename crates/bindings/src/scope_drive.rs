@@ -94,9 +94,10 @@ impl PyWallField {
         py: Python<'_>,
         axis_lps: PyReadonlyArray2<'_, f64>,
         radius_mm: Vec<f64>,
+        excess_mm: Vec<f64>,
     ) -> PyResult<Self> {
         let axis = points(&axis_lps)?;
-        py.detach(|| self.0.with_tube(&axis, &radius_mm))
+        py.detach(|| self.0.with_tube_and_excess(&axis, &radius_mm, &excess_mm))
             .map(|field| Self(Arc::new(field)))
             .map_err(IntoPy::into_py)
     }

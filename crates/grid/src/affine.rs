@@ -71,6 +71,7 @@ impl Affine {
 
     /// Return the image of a point under the map.
     #[must_use]
+    #[inline]
     pub fn point(&self, p: [f64; 3]) -> [f64; 3] {
         std::array::from_fn(|r| {
             let [a, b, c, d] = self.rows[r];
@@ -80,6 +81,7 @@ impl Affine {
 
     /// Return the image of a direction or an offset under the map, without the translation.
     #[must_use]
+    #[inline]
     pub fn vector(&self, v: [f64; 3]) -> [f64; 3] {
         std::array::from_fn(|r| {
             let [a, b, c, _] = self.rows[r];

@@ -113,6 +113,17 @@ impl Axis {
         ups
     }
 
+    /// Update [`Axis::ups`] after a change of the first `num` nodes.
+    fn update_ups(&self, ups: &mut [Point], num: usize) {
+        let (mut up, mut before) = (ups[num], self.forward(num + 1));
+        for node in (1..=num).rev() {
+            let forward = self.forward(node);
+            up = transported(up, before, forward);
+            ups[node - 1] = up;
+            before = forward;
+        }
+    }
+
     pub(crate) fn tip(&self, up: Point) -> Tip {
         let forward = self.forward(1);
         let down = unit(along(up.map(|v| -v), dot(up, forward), forward)).unwrap_or([0.0; 3]);
@@ -275,7 +286,7 @@ impl Axis {
                 continue;
             }
             let radius = body.radius_mm(0.5 * (a + b) as f64 * NODE_MM);
-            let lack = radius - field.distance_mm(p);
+            let lack = radius - field.distance_up_to(p, radius);
             if lack <= 0.0 {
                 continue;
             }
@@ -329,7 +340,7 @@ impl Axis {
             let p = mix(self.nodes[a], self.nodes[b], 0.5);
             if entry.depth_mm(p) >= 0.0 {
                 let radius = body.radius_mm(0.5 * (a + b) as f64 * NODE_MM);
-                shaft = shaft.max(radius - field.distance_mm(p));
+                shaft = shaft.max(radius - field.distance_up_to(p, radius));
             }
         }
         ((-tip.mm).max(0.0), shaft)
@@ -352,13 +363,21 @@ impl Axis {
         let free = self.nodes.len() - 2;
         let is_free = free > body.rigid_nodes();
         let mut last_depth = f64::INFINITY;
+        let mut ups = Vec::new();
+        // Number of nodes that the sweep before this one may have moved.
+        let mut num_moved = free;
         for sweep in 0..MAX_SWEEPS {
             let num = if sweep == 0 {
                 free
             } else {
                 free.min(NEAR_NODES)
             };
-            let ups = self.ups(first_up, controls.roll_rad);
+            if ups.is_empty() || num_moved == free {
+                ups = self.ups(first_up, controls.roll_rad);
+            } else {
+                self.update_ups(&mut ups, num_moved);
+            }
+            num_moved = num;
             if is_free {
                 let rest = self.rest(body, &ups, controls.flexion_rad);
                 self.unbend(&rest, num);
@@ -376,6 +395,7 @@ impl Axis {
                     // The shaft penetrates the wall far back, where only sweeps over all nodes have an effect.
                     self.push_off_wall(field, feelers, body, entry, ups[0], free);
                     self.stretch(body, free);
+                    num_moved = free;
                     continue;
                 }
             }

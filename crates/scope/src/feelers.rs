@@ -30,6 +30,9 @@ const REACH_MM: f64 = 0.75;
 /// clearances up to the end of contact must be exact.
 const GUARD_MM: f64 = 0.5;
 
+/// Distance above the rounding errors of clearances, mm.
+const ROUNDING_MM: f64 = 1e-9;
+
 /// Ball of the tip's surface: its centre in the tip's frame and its radius, mm.
 ///
 /// The frame is right, down, forward; its origin is the face's centre.
@@ -150,14 +153,16 @@ impl Feelers {
         // If one ball round the face and the part behind it is free of the wall, no ball of the face can touch the
         // wall.
         let r = self.radius_mm;
+        let (free_mm, middle) = (1.2 * r + 1.0, tip.place([0.0, 0.0, -0.5 * r]));
         let is_clear = entry.depth_mm(tip.at) >= 0.0
-            && field.distance_mm(tip.place([0.0, 0.0, -0.5 * r])) > 1.2 * r + 1.0;
+            && field.distance_up_to(middle, free_mm + ROUNDING_MM) > free_mm;
         let skipped = if is_clear { self.num_front } else { 0 };
         for group in &self.groups[skipped..] {
-            let clearance_mm = self.take(&mut least, group.first, field, tip, entry);
-            if clearance_mm <= group.reach_mm + GUARD_MM {
+            let enough_mm = group.reach_mm + GUARD_MM;
+            let clearance_mm = self.take(&mut least, group.first, field, tip, entry, enough_mm);
+            if clearance_mm <= enough_mm {
                 for n in group.first + 1..group.end {
-                    self.take(&mut least, n, field, tip, entry);
+                    self.take(&mut least, n, field, tip, entry, enough_mm);
                 }
             }
         }
@@ -165,6 +170,8 @@ impl Feelers {
     }
 
     /// Return the clearance of ball `n`, and update `least` unless the ball is behind the entry.
+    ///
+    /// A clearance above `enough_mm` and above `least` need not be exact.
     fn take(
         &self,
         least: &mut Clearance,
@@ -172,10 +179,12 @@ impl Feelers {
         field: &WallField,
         tip: &Tip,
         entry: &Entry,
+        enough_mm: f64,
     ) -> f64 {
         let ball = self.balls[n];
         let p = tip.place(ball.at);
-        let mm = field.distance_mm(p) - ball.radius - SKIN_MM;
+        let limit_mm = least.mm.max(enough_mm) + ball.radius + SKIN_MM + ROUNDING_MM;
+        let mm = field.distance_up_to(p, limit_mm) - ball.radius - SKIN_MM;
         if mm < least.mm && entry.depth_mm(p) >= 0.0 {
             *least = Clearance {
                 mm,
@@ -191,7 +200,7 @@ impl Feelers {
     fn clearance_of_all(&self, field: &WallField, tip: &Tip, entry: &Entry) -> Clearance {
         let mut least = Clearance::none(tip);
         for n in 0..self.balls.len() {
-            self.take(&mut least, n, field, tip, entry);
+            self.take(&mut least, n, field, tip, entry, f64::INFINITY);
         }
         least
     }

@@ -8,7 +8,7 @@ use std::sync::Arc;
 use carina_grid::Affine;
 
 use crate::ScopeError;
-use crate::tube::Tube;
+use crate::tube::{BLOCKS, Bricks, Tube};
 
 /// Number of cells of a brick on each axis; a brick stores one more sample, so that a cell never needs two bricks.
 pub(crate) const CELLS: usize = 8;
@@ -23,6 +23,8 @@ pub(crate) const OUTSIDE_MM: f64 = 2.5;
 /// Largest distance inside the lumen that is stored, mm, more than any scope's radius; larger distances are
 /// limited to this one.
 pub(crate) const INSIDE_MM: f64 = 4.5;
+/// Number above which a number of type f64 has no fraction, 2^52.
+const WHOLE: f64 = 4_503_599_627_370_496.0;
 /// Entry of a brick that is far outside the lumen.
 const FAR_OUTSIDE: u32 = u32::MAX;
 /// Entry of a brick that is inside the lumen and far from the wall.
@@ -58,6 +60,8 @@ pub struct WallField {
     lps_from_lattice: Affine,
     /// Number of samples of the lattice along i, j, k.
     shape_ijk: [usize; 3],
+    /// Position of the last sample along i, j, k.
+    last_ijk: [f64; 3],
     num_bricks: [usize; 3],
     brick_at: Arc<Vec<u32>>,
     samples: Arc<Vec<f32>>,
@@ -147,6 +151,7 @@ impl WallField {
             lattice_from_lps,
             lps_from_lattice,
             shape_ijk,
+            last_ijk: shape_ijk.map(|n| (n - 1) as f64),
             num_bricks,
             brick_at: Arc::new(brick_at),
             samples: Arc::new(samples),
@@ -166,10 +171,23 @@ impl WallField {
     /// Returns an error if the numbers of points and radii differ, if there are fewer than two points, or if a value is
     /// not finite or a radius is not above 0.
     pub fn with_tube(&self, axis_lps: &[[f64; 3]], radius_mm: &[f64]) -> Result<Self, ScopeError> {
-        let cells = self.num_bricks;
-        let tube = Tube::new(axis_lps, radius_mm, cells, &|p| {
-            self.lattice_from_lps.point(p).map(|v| v / CELLS as f64)
-        })?;
+        self.with_tube_and_excess(axis_lps, radius_mm, &vec![0.0; radius_mm.len()])
+    }
+
+    /// Return a field with a tube, whose sampled wall is too wide near the axis and is moved inwards by an excess.
+    ///
+    /// The excess in mm, 0 or more, changes linearly between the given points.
+    ///
+    /// # Errors
+    ///
+    /// Returns an error as [`WallField::with_tube`] does, or if the excess is not valid.
+    pub fn with_tube_and_excess(
+        &self,
+        axis_lps: &[[f64; 3]],
+        radius_mm: &[f64],
+        excess_mm: &[f64],
+    ) -> Result<Self, ScopeError> {
+        let tube = Tube::new(axis_lps, radius_mm, excess_mm, self)?;
         Ok(Self {
             tube: Some(tube),
             ..self.clone()
@@ -281,6 +299,7 @@ impl WallField {
             lattice_from_lps,
             lps_from_lattice,
             shape_ijk,
+            last_ijk: shape_ijk.map(|n| (n - 1) as f64),
             num_bricks,
             brick_at: Arc::new(brick_at),
             samples: Arc::new(samples),
@@ -294,22 +313,48 @@ impl WallField {
     /// The distance is limited to -2.5 mm outside (also beyond the lattice, and for a NaN) and to 4.5 mm inside.
     #[must_use]
     pub fn distance_mm(&self, p_lps: [f64; 3]) -> f64 {
+        self.distance_up_to(p_lps, f64::INFINITY)
+    }
+
+    /// Return the distance from a point to the wall in mm, if it is below a limit.
+    ///
+    /// Otherwise the result may be any value from the limit to the distance. It takes less time than
+    /// [`WallField::distance_mm`], because the tube needs no test where the samples reach the limit.
+    pub(crate) fn distance_up_to(&self, p_lps: [f64; 3], limit_mm: f64) -> f64 {
         let at = self.lattice_from_lps.point(p_lps);
         let mut cell = [0usize; 3];
         let mut share = [0.0; 3];
         for a in 0..3 {
             // The comparison is written so that a NaN is outside.
-            if !(at[a] >= 0.0 && at[a] <= (self.shape_ijk[a] - 1) as f64) {
+            if !(at[a] >= 0.0 && at[a] <= self.last_ijk[a]) {
                 return -OUTSIDE_MM;
             }
-            cell[a] = (at[a] as usize).min(self.shape_ijk[a] - 2);
-            share[a] = at[a] - cell[a] as f64;
+            // A sum with 2^52 rounds to a whole number, which is the low half of its bits: conversions take longer.
+            let mut whole = (at[a] + WHOLE) - WHOLE;
+            if whole > at[a] {
+                whole -= 1.0;
+            }
+            whole = whole.min(self.last_ijk[a] - 1.0);
+            cell[a] = (whole + WHOLE).to_bits() as u32 as usize;
+            share[a] = at[a] - whole;
         }
         let b = cell.map(|c| c / CELLS);
         let n = (b[2] * self.num_bricks[1] + b[1]) * self.num_bricks[0] + b[0];
         let sampled = self.sampled_mm(n, cell, b, share);
         match &self.tube {
-            Some(tube) => tube.at_least(n, p_lps, sampled),
+            Some(tube) => {
+                let block = std::array::from_fn(|a| (cell[a] - b[a] * CELLS) * BLOCKS / CELLS);
+                let narrowed = if tube.has_excess() {
+                    (sampled - tube.excess_mm(n, block, p_lps)).max(-OUTSIDE_MM)
+                } else {
+                    sampled
+                };
+                if narrowed < limit_mm {
+                    tube.at_least(n, block, p_lps, narrowed)
+                } else {
+                    narrowed
+                }
+            }
             None => sampled,
         }
     }
@@ -326,7 +371,8 @@ impl WallField {
         }
         let local: [usize; 3] = std::array::from_fn(|a| cell[a] - b[a] * CELLS);
         let first = brick as usize * SAMPLES + (local[2] * SIDE + local[1]) * SIDE + local[0];
-        let value = |offset: usize| f64::from(self.samples[first + offset]);
+        let corners = &self.samples[first..first + SIDE * SIDE + SIDE + 2];
+        let value = |offset: usize| f64::from(corners[offset]);
         let mix = |a: f64, b: f64, t: f64| a + t * (b - a);
         let row = |offset: usize| mix(value(offset), value(offset + 1), share[0]);
         let plane = |offset: usize| mix(row(offset), row(offset + SIDE), share[1]);
@@ -345,6 +391,43 @@ impl WallField {
             self.distance_mm(high) - self.distance_mm(low)
         });
         carina_grid::unit(slope)
+    }
+}
+
+impl Bricks for WallField {
+    fn num(&self) -> [usize; 3] {
+        self.num_bricks
+    }
+
+    fn from_lps(&self, p_lps: [f64; 3]) -> [f64; 3] {
+        self.lattice_from_lps.point(p_lps).map(|v| v / CELLS as f64)
+    }
+
+    fn to_lps(&self, at: [f64; 3]) -> [f64; 3] {
+        self.lps_from_lattice.point(at.map(|v| v * CELLS as f64))
+    }
+
+    fn least_mm(&self, brick: usize, block: [usize; 3]) -> f64 {
+        /// Number of cells of a block on each axis.
+        const SIZE: usize = CELLS / BLOCKS;
+        let stored = self.brick_at[brick];
+        if stored >= FAR_INSIDE {
+            return if stored == FAR_INSIDE {
+                INSIDE_MM
+            } else {
+                -OUTSIDE_MM
+            };
+        }
+        let mut least = f64::INFINITY;
+        for k in SIZE * block[2]..=SIZE * (block[2] + 1) {
+            for j in SIZE * block[1]..=SIZE * (block[1] + 1) {
+                for i in SIZE * block[0]..=SIZE * (block[0] + 1) {
+                    let n = stored as usize * SAMPLES + (k * SIDE + j) * SIDE + i;
+                    least = least.min(f64::from(self.samples[n]));
+                }
+            }
+        }
+        least
     }
 }
 

@@ -24,7 +24,7 @@ from carina.argument_checks import (
 from carina.display import one_line
 from carina.errors import UsageError, refuse_pickle
 from carina.scopes.library import ScopePreset, scope_preset
-from carina.scopes.pose import Pose
+from carina.scopes.pose import Pose, pose_of_valid_matrix
 from carina.scopes.wall_field import WallField
 from carina.value import FrozenValue
 
@@ -392,7 +392,7 @@ def _turned_by_180_deg(pose: Pose) -> Pose:
     """Return a pose turned by 180 degrees about its forward axis; only signs change, so nothing is rounded."""
     matrix = pose.lps_from_camera.copy()
     matrix[:3, :2] *= -1.0
-    return Pose(matrix)
+    return pose_of_valid_matrix(matrix)
 
 
 def _point_array(points: ArrayLike) -> NDArray[np.float64]:
@@ -405,7 +405,7 @@ def _point_array(points: ArrayLike) -> NDArray[np.float64]:
 def _state_from_core(found: dict[str, Any]) -> ScopeState:
     contact = found["contact"]
     return ScopeState(
-        pose=Pose(found["lps_from_tip"]),
+        pose=pose_of_valid_matrix(found["lps_from_tip"]),
         hold=ScopeHold(found["insertion_mm"], found["roll_rad"], found["flexion_rad"]),
         contact=None if contact is None else Contact(tuple(contact[0]), tuple(contact[1]), contact[2]),
         red_out=found["red_out"],

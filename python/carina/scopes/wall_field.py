@@ -147,8 +147,10 @@ class WallField:
         """Memory that the samples of the field occupy, bytes."""
         return self.core.num_bytes
 
-    @check_arguments(axis_lps=coordinates(COORDINATE_MM), radius_mm=array_of(None))
-    def with_tube(self, axis_lps: ArrayLike, radius_mm: ArrayLike) -> WallField:
+    @check_arguments(
+        axis_lps=coordinates(COORDINATE_MM), radius_mm=array_of(None), excess_mm=array_of(None, optional=True)
+    )
+    def with_tube(self, axis_lps: ArrayLike, radius_mm: ArrayLike, *, excess_mm: ArrayLike | None = None) -> WallField:
         """Return a field whose lumen also contains a tube; the tube replaces one of an earlier call.
 
         The wall of the tube is computed, not sampled, so a narrow tube has its full radius on its axis. The samples are
@@ -160,14 +162,19 @@ class WallField:
             (n, 3) points of the tube's axis, LPS mm, two or more.
         radius_mm
             (n,) radii above 0 at the points; they change linearly in between.
+        excess_mm
+            (n,) distances of 0 or more in mm by which the sampled wall is moved inwards near the points, because the
+            sampled lumen is too wide there. The tube is not narrowed. None: 0.
 
         Raises
         ------
         UsageError
-            If the numbers of points and radii differ, or a value is out of range (code ``scope.wall``).
+            If the numbers of points, radii and excesses differ, or a value is out of range (code ``scope.wall``).
         """
         axis = np.ascontiguousarray(np.atleast_2d(np.asarray(axis_lps, dtype=np.float64)))
-        return WallField(self.core.with_tube(axis, np.asarray(radius_mm, dtype=np.float64).tolist()))
+        radius = np.asarray(radius_mm, dtype=np.float64)
+        excess = np.zeros(len(radius)) if excess_mm is None else np.asarray(excess_mm, dtype=np.float64)
+        return WallField(self.core.with_tube(axis, radius.tolist(), excess.tolist()))
 
     def to_bytes(self) -> bytes:
         """Return grid and samples as bytes (a copy), for compiled modules of other packages.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from carina.plan.movement.target_movement import TargetMovement
 from carina.plan.reasons import BY_HAND
+from carina.plan.routes.ct_notes import ct_notes
 from carina.plan.routes.needle_hits import NeedleErrors
 from carina.plan.routes.plan_route import Plan, PlannedRoute
 from carina.plan.routes.ranking import MEDIASTINUM_MM
@@ -12,10 +13,7 @@ from carina.plan.targets.grow_nodule import Nodule
 from carina.plan.turns.turn_list import TurnList
 from carina.plan.verdict.verdict import Verdict
 from carina.track import Airways, Branch, drawn_tree
-from carina.volume import Volume, badges_of
-
-THICK_MM = 1.5
-"""Distance in mm between slices above which small airways are hidden and boundaries blurred."""
+from carina.volume import Volume
 
 
 def movement_words(plan: Plan) -> str:
@@ -49,7 +47,7 @@ def uncertain(
     if route is not None:
         found += [f"{doubt}." for doubt in _doubts(route)]
         found += _of_leg(route)
-    found += _of_ct(volume)
+    found += [_sentence(note) for note in ct_notes(volume, airways)]
     found += _of_airways(airways, route)
     if verdicts:
         found.append(
@@ -141,18 +139,6 @@ def _of_leg(route: PlannedRoute) -> list[str]:
     if route.from_carina_mm is None:
         found.append("The route passes no main carina: distances are measured from the start of the airway tree.")
     return found
-
-
-def _of_ct(volume: Volume) -> list[str]:
-    found = [_sentence(note.words) for note in badges_of(volume)]
-    coarsest = max(volume.spacing_mm)
-    if coarsest <= THICK_MM:
-        return found
-    return [
-        *found,
-        f"Slices are {coarsest:.1f} mm apart. Planning needs 1 mm or less: small airways, narrow places and the "
-        "target's boundary are less certain than on a thin-slice CT.",
-    ]
 
 
 def _of_airways(airways: Airways, route: PlannedRoute | None) -> list[str]:

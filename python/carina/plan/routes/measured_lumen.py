@@ -44,9 +44,24 @@ class MeasuredLumen:
     """Measured radius less the radius of the ball (n,), mm; negative where the segmented lumen is wider."""
     error_mm: Points
     """Half (n,) of the interval in mm that contains the true diameter with 90 % probability."""
+    surplus_mm: Points
+    """Radius of the ball less the measured radius (n,) by sections away from forks alone, mm; -inf in a wide lumen."""
 
-    def widened(self, wall: WallField, *, error_share: float = 0.0) -> WallField:
-        """Return a wall with the measured lumen.
+    def widened(self, wall: WallField) -> WallField:
+        """Return a wall with the measured lumen where the segmented lumen is narrower.
+
+        Parameters
+        ----------
+        wall
+            Wall of the segmented lumen.
+        """
+        return self._with_tube(wall, error_share=0.0, excess=np.zeros_like(self.ball_mm))
+
+    def narrowest(self, wall: WallField, *, error_share: float) -> WallField:
+        """Return a wall with the narrowest measured lumen within the errors.
+
+        Where the segmented lumen is wider than that, its wall is moved inwards by the difference. In a fork the wall is
+        moved as at the nearest sections, because the width of a fork is no width of the airway.
 
         Parameters
         ----------
@@ -55,15 +70,19 @@ class MeasuredLumen:
         error_share
             Share of each diameter's error by which the measured lumen is narrower.
         """
+        excess = np.maximum(self.surplus_mm + 0.5 * error_share * self.error_mm, 0.0)
+        return self._with_tube(wall, error_share=error_share, excess=excess)
+
+    def _with_tube(self, wall: WallField, *, error_share: float, excess: Points) -> WallField:
         radius = _limited(self.axis_lps, self.ball_mm + self.lack_mm - 0.5 * error_share * self.error_mm)
-        wider = np.flatnonzero(radius > self.ball_mm)
-        if not len(wider):
+        changed = np.flatnonzero((radius > self.ball_mm) | (excess > 0.0))
+        if not len(changed):
             return wall
-        # Each part of a tube takes time in a drive, so the tube extends only from the first to the last wider place.
-        own = slice(max(int(wider[0]) - 1, 0), int(wider[-1]) + 2)
+        # Each part of a tube takes time in a drive, so the tube extends only from the first to the last changed place.
+        own = slice(max(int(changed[0]) - 1, 0), int(changed[-1]) + 2)
         if own.stop - own.start < 2:
             return wall
-        return wall.with_tube(self.axis_lps[own], np.maximum(radius[own], MIN_RADIUS_MM))
+        return wall.with_tube(self.axis_lps[own], np.maximum(radius[own], MIN_RADIUS_MM), excess_mm=excess[own])
 
 
 def measured_lumen(lineage: Sequence[Branch], wall: WallField, measures: TreeMeasures) -> MeasuredLumen | None:
@@ -101,6 +120,7 @@ def measured_lumen(lineage: Sequence[Branch], wall: WallField, measures: TreeMea
     before = known[np.maximum(np.searchsorted(known, np.arange(len(axis)), side="right") - 1, 0)]
     behind = known[np.minimum(np.searchsorted(known, np.arange(len(axis))), len(known) - 1)]
     lack, most = (np.fmin(values[before], values[behind]) for values in (measured - ball, measured))
+    surplus = -lack
     # A section in a fork can show that the fork is narrow, but not that it is wide.
     lack = np.fmin(lack, np.fmin(most, measured) - ball)
     error = np.fmax(error[before], error[behind])
@@ -108,7 +128,13 @@ def measured_lumen(lineage: Sequence[Branch], wall: WallField, measures: TreeMea
     if own.stop - own.start < 2:
         return None
     is_narrow = np.fmax(ball, most)[own] < WIDE_MM
-    return MeasuredLumen(axis[own], np.minimum(ball[own], WIDE_MM), np.where(is_narrow, lack[own], 0.0), error[own])
+    return MeasuredLumen(
+        axis[own],
+        np.minimum(ball[own], WIDE_MM),
+        np.where(is_narrow, lack[own], 0.0),
+        error[own],
+        np.where(is_narrow, surplus[own], -np.inf),
+    )
 
 
 def _limited(axis: Points, radius: Points) -> Points:

@@ -30,6 +30,7 @@ from carina.plan.instruments.tools import Tool, tools
 from carina.plan.lungs.tissue_near_needle import surroundings
 from carina.plan.movement.target_movement import TargetMovement
 from carina.plan.routes.attainable_directions import StandingPlace, TipDirections
+from carina.plan.routes.ct_notes import ct_notes
 from carina.plan.routes.last_leg import LastLeg, NeedleScene, leg_as_aimed, where_it_may_have_moved, with_errors
 from carina.plan.routes.main_carina import DistanceOrigin, distance_origin
 from carina.plan.routes.measured_lumen import MeasuredLumen, measured_lumen
@@ -549,7 +550,7 @@ def draft_plan(
         routes=kept,
         why=None if kept else why_none(airways, nodule, nearest, used),
         notes=(
-            *(note.words for note in airways.badges),
+            *ct_notes(volume, airways),
             *notes_of_target(volume, airways, nodule, nearest),
             *notes_of_tools(preset, used),
             *moved.notes,

@@ -21,6 +21,10 @@ CUT_MM = 10.0
 FINE_MM = 0.5
 MIN_AHEAD_MM = 4.0
 NUM_ON_LINE = 14
+SHARES_AHEAD = np.linspace(0.1, 1.0, NUM_ON_LINE)[None, :, None]
+"""Tested places of a line of sight as shares of its length."""
+SHARES = np.linspace(0.0, 1.0, 9)[:, None]
+"""Tested places between a tip and the centreline as shares of their distance."""
 
 
 class DriveWay:
@@ -53,6 +57,10 @@ class DriveWay:
         self._fine_mm = np.arange(0.0, float(self.cumulative_mm[-1]) + 1e-9, FINE_MM)
         self._fine = self.at(self._fine_mm)
         self._fine_room_mm = wall.distance_mm(self._fine)
+        # A search calls for these values at the same places of the route again and again.
+        self._radii_mm: dict[float, float] = {}
+        self._points: dict[float, Points] = {}
+        self._directions: dict[float, Points] = {}
         # Knots that map the smooth route to the centrelines: the forks and the position of the tip.
         ends = np.cumsum([branch.length_mm for branch in tree.lineage(planned.branch_id)])
         knots = [(0.0, 0.0), *zip(self.forks_mm.tolist(), ends[:-1].tolist(), strict=True)]
@@ -96,9 +104,18 @@ class DriveWay:
 
     def direction(self, mm: float) -> Points:
         """Return the unit vector (3,) along the route at a distance in mm."""
-        low, high = max(mm - SMOOTH_MM, 0.0), min(mm + SMOOTH_MM, self.length_mm)
-        ahead = self.at(high) - self.at(low)
-        found: Points = ahead / max(float(np.linalg.norm(ahead)), 1e-9)
+        found = self._directions.get(mm)
+        if found is None:
+            low, high = max(mm - SMOOTH_MM, 0.0), min(mm + SMOOTH_MM, self.length_mm)
+            ahead = self.at(high) - self.at(low)
+            found = self._directions[mm] = ahead / max(float(np.linalg.norm(ahead)), 1e-9)
+        return found
+
+    def point(self, mm: float) -> Points:
+        """Return the point (3,), LPS mm, at a distance in mm along the route; do not change it."""
+        found = self._points.get(mm)
+        if found is None:
+            found = self._points[mm] = self.at(mm)
         return found
 
     def radius_mm(self, mm: float) -> float:
@@ -106,8 +123,11 @@ class DriveWay:
 
         The distance is the radius of the circle with the lumen's area, or of the largest ball if that is larger.
         """
-        area = float(np.interp(mm, self.cumulative_mm, self._radius_mm))
-        return max(area, float(np.interp(mm, self._fine_mm, self._fine_room_mm)))
+        found = self._radii_mm.get(mm)
+        if found is None:
+            area = float(np.interp(mm, self.cumulative_mm, self._radius_mm))
+            found = self._radii_mm[mm] = max(area, float(np.interp(mm, self._fine_mm, self._fine_room_mm)))
+        return found
 
     def nearest(self, point: Points, around_mm: float) -> tuple[float, float]:
         """Return the point of the route nearest to a tip: distance along the route and distance from the tip, mm.
@@ -142,9 +162,8 @@ class DriveWay:
         """
         ahead = np.arange(along_mm + farthest_mm, along_mm + MIN_AHEAD_MM - 0.1, -1.0)
         places = self.at(np.minimum(ahead, self.length_mm))
-        share = np.linspace(0.1, 1.0, NUM_ON_LINE)
-        line = tip + share[None, :, None] * (places - tip)[:, None, :]
-        room = self.wall.distance_mm(line.reshape(-1, 3)).reshape(len(places), -1)
+        line = tip + SHARES_AHEAD * (places - tip)[:, None, :]
+        room = self.wall.core.distance_mm(line.reshape(-1, 3)).reshape(len(places), -1)
         # In a narrow airway a smaller clearance suffices.
         needed = np.minimum(clear_mm, 0.6 * np.maximum(room[:, -1], 0.3))
         seen = np.flatnonzero((room >= needed[:, None]).all(axis=1))
@@ -161,9 +180,8 @@ class DriveWay:
         along_mm
             Distance of the tip along the route.
         """
-        share = np.linspace(0.0, 1.0, 9)
-        line = tip + share[:, None] * (self.at(along_mm) - tip)
-        return bool((self.wall.distance_mm(line) > 0.0).all())
+        line = tip + SHARES * (self.point(along_mm) - tip)
+        return bool((self.wall.core.distance_mm(line) > 0.0).all())
 
 
 def _place_at(tree: AirwayTree, planned: PlannedRoute) -> Points:

@@ -396,7 +396,8 @@ class _Attempt:
         if self.off_mm > max(0.8 * self.way.radius_mm(self.along_mm), 0.7):
             return False
         tip = self._tip()
-        along = self.way.at(min(self.along_mm + 5.0, self.way.length_mm)) - self.way.at(max(self.along_mm - 1.0, 0.0))
+        ahead_mm, behind_mm = min(self.along_mm + 5.0, self.way.length_mm), max(self.along_mm - 1.0, 0.0)
+        along = self.way.point(ahead_mm) - self.way.point(behind_mm)
         cosine = float(along @ tip[:3, 2]) / max(float(np.linalg.norm(along)), 1e-9)
         return cosine > ON_COURSE_COSINE and self.way.holds(tip[:3, 3], self.along_mm)
 

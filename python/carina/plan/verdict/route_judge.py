@@ -160,7 +160,6 @@ class RouteJudge:
         lumen = planned.lumen
         self._drive_wall = wall if lumen is None else lumen.widened(wall)
         self._way = self._way_in(tree, planned, self._drive_wall)
-        self._narrow_wall = None if lumen is None or not errors else lumen.widened(wall, error_share=ERROR_SHARE)
         self._tree, self._route, self._key = tree, planned, planned.key
         self._plan, self._wall = plan, wall
         self._least_nodule = _smaller(plan.nodule) if errors else plan.nodule
@@ -377,8 +376,11 @@ class RouteJudge:
 
         True if the lumen was not measured, because the drive was then simulated in the segmented lumen.
         """
-        wall = self._narrow_wall
-        if wall is None or wall is self._drive_wall:
+        lumen = self._route.lumen
+        if lumen is None or not self._errors:
+            return True
+        wall = lumen.narrowest(self._wall, error_share=ERROR_SHARE)
+        if wall is self._drive_wall:
             return True
         self.stop_if_cancelled()
         way = self._way_in(self._tree, self._route, wall)

@@ -15,25 +15,8 @@ from carina.server.windows.window import Host, Window
 from carina.server.wire import messages as wire
 from carina.session import Changed, Event
 from carina.session.state.snapshot import SavingInfo
+from carina.volume.note_privacy import words_without_names
 
-ABOUT_THE_SCAN = "import."
-WITHOUT_NAMES = frozenset(
-    {
-        "import.clipped",
-        "import.lossy",
-        "import.not-numbers",
-        "import.orientation-doubted",
-        "import.part-of-stack",
-        "import.rescale-absent",
-        "import.scaling",
-        "import.slices-interpolated",
-        "import.tilt-corrected",
-        "import.two-patients",
-    }
-)
-"""Note codes whose texts contain only numbers and fixed text, and may therefore be sent to observers."""
-FIXED_WORDS = {"import.not-hu": "the values of this volume are not in Hounsfield units"}
-"""Replacement texts, by note code, for notes whose original texts quote DICOM tags of the file."""
 ERRORS_WITHOUT_NAMES = frozenset({"session.watching", "session.pick", "session.no-case"})
 
 
@@ -43,10 +26,8 @@ def observer_notes(notes: Sequence[wire.CaseNote]) -> tuple[wire.CaseNote, ...]:
 
 
 def _note_text(note: wire.CaseNote) -> str:
-    if not note.code.startswith(ABOUT_THE_SCAN) or note.code in WITHOUT_NAMES:
-        return note.words
     request = f"the scan check found a problem ({note.code}): ask the person at the workstation for the details"
-    return FIXED_WORDS.get(note.code, request)
+    return words_without_names(note.code, note.words) or request
 
 
 def observer_error(error: wire.Error) -> wire.Error:
