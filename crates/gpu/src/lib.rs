@@ -10,10 +10,15 @@
 
 mod adapter;
 mod cast;
+mod decoration;
 mod device;
 mod error;
+mod light_uniforms;
+mod passes;
 mod rays;
 mod resources;
+mod shader;
+mod slope_store;
 mod slot;
 mod uniforms;
 mod volume;
@@ -21,4 +26,4 @@ mod volume;
 pub use adapter::{AdapterFacts, AdapterKind, adapters};
 pub use device::Gpu;
 pub use error::GpuError;
-pub use resources::{GpuMap, GpuVolume};
+pub use resources::{GpuDecoration, GpuMap, GpuVolume, Resident};
