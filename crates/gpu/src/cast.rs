@@ -12,7 +12,7 @@ use crate::{
     Gpu, GpuError, GpuMap, GpuVolume,
     device::{Variant, lock},
     light_uniforms::LightUniforms,
-    passes::{STAGES, Stage, Tables},
+    passes::{Stage, Tables},
     resources::Resident,
     slope_store::SlopeStore,
     slot::{COUNT_BYTES, RESULT_BYTES, Slot, SlotSize},
@@ -488,18 +488,6 @@ impl Gpu {
         // The slot is returned only after success, because the slot of a failed picture may still be mapped or in use.
         lock(&self.slots).push(slot);
         Ok(taken)
-    }
-
-    /// Compile the kernels of all stages, so that the first picture does not wait for each in turn.
-    pub fn compile(&self, leap: bool) {
-        let variant = Variant {
-            leap,
-            walls: true,
-            ..Variant::default()
-        };
-        for stage in STAGES {
-            self.pipeline(stage, variant);
-        }
     }
 }
 

@@ -30,7 +30,7 @@ pub(crate) enum Stage {
 }
 
 /// All stages.
-pub(crate) const STAGES: [Stage; 8] = [
+const STAGES: [Stage; 8] = [
     Stage::Cast,
     Stage::Meter,
     Stage::Expose,
