@@ -8,7 +8,7 @@ mod scene;
 
 use std::sync::Arc;
 
-use carina_gpu::Gpu;
+use carina_gpu::{Gpu, Resident};
 use carina_grid::{Camera, FieldShape, Grid, ImageField, Lens, LensRays, Optics, VolumeView};
 use carina_isoregion::{cell_map, class_labels};
 use carina_raycast::{
@@ -434,5 +434,60 @@ fn a_large_picture_of_several_bands_equals_that_of_the_cpu() {
         let mut tally = Tally::default();
         tally.add(&both(gpu, &scene, SHIPPED, true));
         tally.check("several bands");
+    }
+}
+
+#[test]
+fn a_device_lost_during_pictures_gives_errors_and_no_wrong_picture() {
+    for index in 0..gpus().len() {
+        let gpu = Gpu::open(index).unwrap();
+        let scene = inside(64);
+        let volume = gpu
+            .upload_volume(&scene.hu, scene.grid.shape_zyx())
+            .unwrap();
+        lit_frame_of(&scene, SHIPPED, |frame| {
+            let picture = || gpu.cast(frame, on(&volume, None), 0..64, false);
+            let expected = picture().unwrap().0;
+            std::thread::scope(|scope| {
+                let casts: Vec<_> = (0..3)
+                    .map(|_| scope.spawn(|| (0..6).map(|_| picture()).collect::<Vec<_>>()))
+                    .collect();
+                gpu.lose();
+                for result in casts.into_iter().flat_map(|cast| cast.join().unwrap()) {
+                    match result {
+                        Ok((rgb, _)) => assert!(rgb == expected),
+                        Err(refused) => assert_eq!(refused.code(), "render.gpu", "{refused}"),
+                    }
+                }
+            });
+            assert!(picture().is_err());
+        });
+    }
+}
+
+#[test]
+fn decorations_of_another_size_or_device_are_rejected() {
+    for gpu in gpus() {
+        let scene = inside(16);
+        let volume = gpu
+            .upload_volume(&scene.hu, scene.grid.shape_zyx())
+            .unwrap();
+        let anatomy = Anatomy::round(&scene.grid);
+        let own = gpu.upload_decoration(&anatomy.decoration()).unwrap();
+        let small = Decoration::new(&[0.0; 64], [2, 2, 2], [0.0; 3], 1.0).unwrap();
+        let other = gpu.upload_decoration(&small).unwrap();
+        lit_frame_of(&scene, SHIPPED, |frame| {
+            let picture = |decoration| {
+                let resident = Resident {
+                    decoration,
+                    ..on(&volume, None)
+                };
+                gpu.cast(frame, resident, 0..16, false)
+            };
+            let refused = picture(Some(&other)).unwrap_err();
+            assert_eq!(refused.code(), "render.setting", "{refused}");
+            // Data that are uploaded in advance and data that the picture uploads give the same picture.
+            assert!(picture(Some(&own)).unwrap().0 == picture(None).unwrap().0);
+        });
     }
 }
