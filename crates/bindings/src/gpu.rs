@@ -120,6 +120,9 @@ impl Gpu {
     }
 }
 
+/// Anatomical data on a device, with the array from which they were copied.
+type UploadedDecoration = (Py<PyArray4<f32>>, Arc<GpuDecoration>);
+
 /// Volume on a graphics device, with or without the radius map that leaps need.
 #[pyclass(frozen, module = "carina._core")]
 pub(crate) struct GpuScene {
@@ -128,7 +131,7 @@ pub(crate) struct GpuScene {
     map: Option<Arc<GpuMap>>,
     /// Anatomical data of the last decorated picture; the reference to their array prevents another array from getting
     /// the same address in memory.
-    decoration: Arc<Mutex<Option<(Py<PyArray4<f32>>, Arc<GpuDecoration>)>>>,
+    decoration: Arc<Mutex<Option<UploadedDecoration>>>,
     /// Array of the values that were copied to the device.
     ///
     /// The reference prevents another array from getting the same address in memory.

@@ -10,9 +10,10 @@ use rayon::prelude::*;
 
 use crate::{
     Gpu, GpuError, GpuMap, GpuVolume,
-    device::{Variant, lock},
+    device::Variant,
     light_uniforms::LightUniforms,
     passes::{Stage, Tables},
+    read_back::add_counts,
     resources::Resident,
     slope_store::SlopeStore,
     slot::{COUNT_BYTES, RESULT_BYTES, Slot, SlotSize},
@@ -31,11 +32,9 @@ const BAND_SAMPLES: f64 = 5e8;
 /// Largest number of steps of a ray; f32 counts steps exactly to 2^24, and the ends of a ray are computed in f32 here.
 const MAX_STEPS: f64 = 4_194_304.0;
 /// Number of 32-bit words per pixel in the output of walls.
-const WORDS_OF_A_WALL: usize = 5;
+pub(crate) const WORDS_OF_A_WALL: usize = 5;
 /// Smallest number of pixels that one CPU thread converts after the read-back.
 const SHARE: usize = 1 << 13;
-/// Number of counters of a picture's work.
-const COUNTS: usize = 5;
 /// Number of workgroups that fill bricks.
 const FILL_GROUPS: u32 = 256;
 /// Largest number of workgroups that smooth silhouettes, and number of threads of each.
@@ -45,23 +44,15 @@ const SMOOTH_THREADS: usize = 64;
 const METER_GROUPS: u32 = 18;
 
 /// Picture in progress: its frame, the rows of its buffers, and its resources on the device.
-struct Picture<'a> {
+pub(crate) struct Picture<'a> {
     frame: &'a Frame<'a>,
     resident: Resident<'a>,
-    variant: Variant,
+    pub(crate) variant: Variant,
     all: Range<usize>,
     darken: bool,
     tables: Tables,
-    slot: Slot,
-    light: Option<(LightUniforms, std::sync::Arc<SlopeStore>)>,
-}
-
-/// Results of a picture that are read back.
-struct Results<'a> {
-    pixels: &'a [u8],
-    counts: &'a [u8],
-    num_lit: u32,
-    num_requested: u32,
+    pub(crate) slot: Slot,
+    pub(crate) light: Option<(LightUniforms, std::sync::Arc<SlopeStore>)>,
 }
 
 impl Gpu {
@@ -312,7 +303,7 @@ impl Gpu {
         })
     }
 
-    fn encoder(&self) -> wgpu::CommandEncoder {
+    pub(crate) fn encoder(&self) -> wgpu::CommandEncoder {
         self.device
             .create_command_encoder(&wgpu::CommandEncoderDescriptor::default())
     }
@@ -412,83 +403,6 @@ impl Gpu {
             self.queue.submit([encoder.finish()]);
         }
     }
-
-    /// Read a picture back, pass its results to `take`, and return the slot for later pictures.
-    ///
-    /// `pixels` are the pixels of the picture's buffers that are read.
-    fn results<T>(
-        &self,
-        picture: Picture<'_>,
-        pixels: Range<usize>,
-        take: impl FnOnce(&Results<'_>) -> T,
-    ) -> Result<T, GpuError> {
-        let slot = picture.slot;
-        let (from, words) = if picture.variant.walls && picture.light.is_none() {
-            (&slot.walls, WORDS_OF_A_WALL)
-        } else {
-            (&slot.pixels, 1)
-        };
-        let bytes_of = |pixels: usize| (4 * words * pixels) as u64;
-        let pixel_bytes = bytes_of(pixels.len());
-        let parts = [
-            (from, bytes_of(pixels.start), pixel_bytes),
-            (&slot.counts, 0, COUNT_BYTES),
-            (&slot.state, 0, RESULT_BYTES),
-        ];
-        let requested = picture
-            .light
-            .as_ref()
-            .map(|(_, slopes)| (&slopes.bricks, 0, 4));
-        let mut encoder = self.encoder();
-        let mut end = 0;
-        for (buffer, start, bytes) in parts.into_iter().chain(requested) {
-            encoder.copy_buffer_to_buffer(buffer, start, &slot.staging, end, bytes);
-            end += bytes;
-        }
-        let index = self.queue.submit([encoder.finish()]);
-        // The read-back is queued behind the kernels; another thread may submit its picture while this one waits.
-        let (sender, receiver) = std::sync::mpsc::channel();
-        slot.staging
-            .map_async(wgpu::MapMode::Read, 0..end, move |done| {
-                let _ = sender.send(done);
-            });
-        self.wait(index);
-        self.check_alive()?;
-        let lost = |reason: String| GpuError::Device {
-            name: self.facts.name.clone(),
-            reason,
-        };
-        // The first thread that detects the completion runs all callbacks; this may be the thread of another picture.
-        receiver
-            .recv_timeout(self.facts.kind.patience())
-            .map_err(|_| lost("the picture did not come back".to_owned()))?
-            .map_err(|e| lost(e.to_string()))?;
-        let taken = {
-            let bytes = slot.staging.get_mapped_range(0..end);
-            let bytes = bytes.map_err(|e| lost(e.to_string()))?;
-            let (pixels, rest) = bytes.split_at(pixel_bytes as usize);
-            let (counts, rest) = rest.split_at(COUNT_BYTES as usize);
-            let word = |at: usize| {
-                let word = rest.get(at..at + 4);
-                word.map_or(0, |word| bytemuck::pod_read_unaligned(word))
-            };
-            let results = Results {
-                pixels,
-                counts,
-                num_lit: word(4),
-                num_requested: word(RESULT_BYTES as usize),
-            };
-            if let Some((_, slopes)) = &picture.light {
-                slopes.record_requested(results.num_requested);
-            }
-            take(&results)
-        };
-        slot.staging.unmap();
-        self.check_alive()?;
-        // The slot is returned only after success, because the slot of a failed picture may still be mapped or in use.
-        lock(&self.slots).push(slot);
-        Ok(taken)
-    }
 }
 
 /// Return the number of workgroups across and down that cover rows of a picture.
@@ -502,19 +416,6 @@ fn rows_per_band(parameters: &FrameParameters<'_>) -> usize {
     (BAND_PIXELS / parameters.width)
         .min(by_samples as usize)
         .max(1)
-}
-
-/// Add the counters of a picture to the statistics.
-fn add_counts(stats: &mut CastStats, counts: &[u8], shaded: bool) {
-    for counts in counts.as_chunks::<{ 8 * COUNTS }>().0 {
-        let [samples, lookups, leaps, skipped, lit] =
-            bytemuck::pod_read_unaligned::<[u64; COUNTS]>(counts).map(u64::from_le);
-        stats.num_samples += samples;
-        stats.num_lookups += lookups;
-        stats.num_leaps += leaps;
-        stats.num_skipped += skipped;
-        stats.num_shaded += if shaded { lit } else { 0 };
-    }
 }
 
 /// Return the error of an invalid setting.

@@ -16,6 +16,7 @@ mod error;
 mod light_uniforms;
 mod passes;
 mod rays;
+mod read_back;
 mod resources;
 mod shader;
 mod slope_store;

@@ -7,14 +7,19 @@ pub(crate) fn source() -> String {
     let mut constants = shading_constants();
     let full_gain = u32::from(carina_grid::FULL_GAIN);
     constants.push(("FULL_GAIN", SharedValue::Unsigned(full_gain)));
-    let declared: String = constants
+    let declared: Vec<_> = constants
         .iter()
         .map(|(name, value)| format!("const {name} = {};\n", literal(value)))
         .collect();
     [
-        &declared,
+        &declared.concat(),
         include_str!("airway.wgsl"),
         include_str!("lighting.wgsl"),
+        include_str!("slopes.wgsl"),
+        include_str!("texture.wgsl"),
+        include_str!("decoration.wgsl"),
+        include_str!("film.wgsl"),
+        include_str!("stages.wgsl"),
     ]
     .concat()
 }

@@ -163,7 +163,7 @@ impl Anatomy {
                     let part =
                         |a: f32, b: f32| (0.5 + 0.5 * (a * p[0] + b * p[1] + p[2]).sin()).min(1.0);
                     numbers.extend([
-                        0.21 * p[0] + 0.13 * p[1] + 0.4 * p[2],
+                        0.12 * p[0] - 0.35 * p[1] + 0.2 * p[2],
                         from[0],
                         from[1],
                         part(0.7, 0.2),
