@@ -10,13 +10,12 @@ use rayon::prelude::*;
 
 use crate::{
     Gpu, GpuError, GpuMap, GpuVolume,
-    device::Variant,
     light_uniforms::LightUniforms,
-    passes::{Stage, Tables},
+    passes::Tables,
+    picture::{Picture, WORDS_OF_A_WALL},
     read_back::add_counts,
-    resources::Resident,
-    slope_store::SlopeStore,
-    slot::{COUNT_BYTES, RESULT_BYTES, Slot, SlotSize},
+    resources::{COUNT_BYTES, RESULT_BYTES, Resident, SlotSize},
+    stages::{Stage, Variant},
     uniforms::{Band, Uniforms},
 };
 
@@ -31,8 +30,6 @@ const BAND_PIXELS: usize = 1 << 21;
 const BAND_SAMPLES: f64 = 5e8;
 /// Largest number of steps of a ray; f32 counts steps exactly to 2^24, and the ends of a ray are computed in f32 here.
 const MAX_STEPS: f64 = 4_194_304.0;
-/// Number of 32-bit words per pixel in the output of walls.
-pub(crate) const WORDS_OF_A_WALL: usize = 5;
 /// Smallest number of pixels that one CPU thread converts after the read-back.
 const SHARE: usize = 1 << 13;
 /// Number of workgroups that fill bricks.
@@ -42,18 +39,6 @@ const SMOOTH_GROUPS: usize = 512;
 const SMOOTH_THREADS: usize = 64;
 /// Number of workgroups that meter the exposure with eight rays each.
 const METER_GROUPS: u32 = 18;
-
-/// Picture in progress: its frame, the rows of its buffers, and its resources on the device.
-pub(crate) struct Picture<'a> {
-    frame: &'a Frame<'a>,
-    resident: Resident<'a>,
-    pub(crate) variant: Variant,
-    all: Range<usize>,
-    darken: bool,
-    tables: Tables,
-    pub(crate) slot: Slot,
-    pub(crate) light: Option<(LightUniforms, std::sync::Arc<SlopeStore>)>,
-}
 
 impl Gpu {
     /// Cast and shade `rows` of a picture as 8-bit RGB, `[row, column, channel]`.
@@ -283,7 +268,7 @@ impl Gpu {
         let light = match lighting {
             None => None,
             Some(light) => {
-                let slopes = self.slopes_of(resident.volume, light)?;
+                let slopes = self.slopes_of(&resident.volume.slopes, light)?;
                 Some((LightUniforms::new(light, slopes.num_bricks), slopes))
             }
         };

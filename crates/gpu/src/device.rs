@@ -11,10 +11,9 @@ use std::{
 use crate::{
     AdapterFacts, GpuError, GpuMap,
     adapter::found,
-    passes::{Stage, StageLayout},
-    resources::{Directions, TableOnDevice},
+    resources::{Directions, Slot, TableOnDevice},
     shader,
-    slot::Slot,
+    stages::{Stage, StageLayout, Variant},
 };
 
 /// Largest number of bytes of a buffer that is requested from a device.
@@ -22,34 +21,6 @@ const MAX_BUFFER: u64 = 1 << 30;
 
 /// Number of the next device that is opened.
 static NEXT: AtomicU64 = AtomicU64::new(1);
-
-/// Variant of the kernel, given by the override constants of `airway.wgsl`.
-#[allow(
-    clippy::struct_excessive_bools,
-    reason = "each is one override of the shader, and all combine"
-)]
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Hash)]
-pub(crate) struct Variant {
-    pub(crate) shaded: bool,
-    pub(crate) nearest: bool,
-    pub(crate) leap: bool,
-    pub(crate) walls: bool,
-}
-
-impl Variant {
-    /// Return the names and values of the override constants.
-    pub(crate) fn constants(self) -> Vec<(&'static str, f64)> {
-        let switches = [
-            ("SHADED", self.shaded),
-            ("NEAREST", self.nearest),
-            ("LEAP", self.leap),
-            ("WALLS", self.walls),
-        ]
-        .map(|(name, on)| (name, f64::from(u8::from(on))));
-        let paying_leap = carina_raycast::paying_leap(self.nearest);
-        [&switches[..], &[("PAYING_LEAP", f64::from(paying_leap))]].concat()
-    }
-}
 
 /// Opened graphics device with the kernels of the airway view.
 ///
@@ -61,7 +32,7 @@ pub struct Gpu {
     pub(crate) queue: wgpu::Queue,
     /// Unique number of the device, which distinguishes its resources from those of other devices.
     pub(crate) id: u64,
-    /// Layouts of the stages, in the order of [`crate::passes::STAGES`].
+    /// Layouts of the stages, in the order of `stages.rs`.
     pub(crate) layouts: Vec<StageLayout>,
     pub(crate) no_map: GpuMap,
     /// Buffer that replaces resources which a picture does not use.

@@ -15,12 +15,15 @@ mod device;
 mod error;
 mod light_uniforms;
 mod passes;
+mod picture;
 mod rays;
 mod read_back;
 mod resources;
 mod shader;
 mod slope_store;
+mod slopes;
 mod slot;
+mod stages;
 mod uniforms;
 mod volume;
 

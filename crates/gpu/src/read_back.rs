@@ -6,9 +6,9 @@ use carina_raycast::CastStats;
 
 use crate::{
     Gpu, GpuError,
-    cast::{Picture, WORDS_OF_A_WALL},
     device::lock,
-    slot::{COUNT_BYTES, RESULT_BYTES},
+    picture::{Picture, WORDS_OF_A_WALL},
+    resources::{COUNT_BYTES, RESULT_BYTES},
 };
 
 /// Number of counters of a picture's work.

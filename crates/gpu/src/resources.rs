@@ -1,4 +1,4 @@
-//! Resources on the device: volumes, maps and decorations, directions of rays, transfer tables.
+//! Resources on the device: volumes, maps and decorations, directions of rays, transfer tables, buffers of pictures.
 
 use std::sync::{Arc, Mutex};
 
@@ -56,4 +56,48 @@ pub(crate) struct Directions {
 pub(crate) struct TableOnDevice {
     pub(crate) buffer: wgpu::Buffer,
     pub(crate) entries: Vec<[f32; 4]>,
+}
+
+/// Number of bytes of the counters of a picture's work.
+pub(crate) const COUNT_BYTES: u64 = 40;
+/// Number of bytes of the results at the start of `State` that are read back.
+pub(crate) const RESULT_BYTES: u64 = 16;
+/// Number of bytes of `State` before the list of silhouettes.
+pub(crate) const STATE_BYTES: u64 = RESULT_BYTES + 4 * 144;
+
+/// Sizes of the buffers of a picture.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) struct SlotSize {
+    /// Number of pixels whose colours, depths and silhouettes are stored.
+    pub(crate) num_pixels: u64,
+    /// Number of bytes of the rays of a band.
+    pub(crate) wall_bytes: u64,
+    /// Whether walls are shaded on the device.
+    pub(crate) is_lit: bool,
+    /// Number of bytes that are read back.
+    pub(crate) read_bytes: u64,
+}
+
+impl SlotSize {
+    pub(crate) fn fits(&self, wanted: &Self) -> bool {
+        self.num_pixels >= wanted.num_pixels
+            && self.wall_bytes >= wanted.wall_bytes
+            && self.read_bytes >= wanted.read_bytes
+            && (self.is_lit || !wanted.is_lit)
+    }
+}
+
+/// Buffers of one picture, which are reused for later pictures.
+#[derive(Debug)]
+pub(crate) struct Slot {
+    pub(crate) size: SlotSize,
+    pub(crate) uniforms: wgpu::Buffer,
+    pub(crate) light: wgpu::Buffer,
+    pub(crate) walls: wgpu::Buffer,
+    pub(crate) counts: wgpu::Buffer,
+    pub(crate) pixels: wgpu::Buffer,
+    pub(crate) depths: wgpu::Buffer,
+    pub(crate) state: wgpu::Buffer,
+    /// Buffer through which the CPU reads the results.
+    pub(crate) staging: wgpu::Buffer,
 }

@@ -1,50 +1,12 @@
 //! Reusable buffers on the device for pictures in progress.
 
-use crate::{Gpu, GpuError, device::lock, light_uniforms::LightUniforms, uniforms::Uniforms};
-
-/// Number of bytes of the counters of a picture's work.
-pub(crate) const COUNT_BYTES: u64 = 40;
-/// Number of bytes of the results at the start of `State` that are read back.
-pub(crate) const RESULT_BYTES: u64 = 16;
-/// Number of bytes of `State` before the list of silhouettes.
-const STATE_BYTES: u64 = RESULT_BYTES + 4 * 144;
-
-/// Sizes of the buffers of a picture.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) struct SlotSize {
-    /// Number of pixels whose colours, depths and silhouettes are stored.
-    pub(crate) num_pixels: u64,
-    /// Number of bytes of the rays of a band.
-    pub(crate) wall_bytes: u64,
-    /// Whether walls are shaded on the device.
-    pub(crate) is_lit: bool,
-    /// Number of bytes that are read back.
-    pub(crate) read_bytes: u64,
-}
-
-impl SlotSize {
-    fn fits(&self, wanted: &Self) -> bool {
-        self.num_pixels >= wanted.num_pixels
-            && self.wall_bytes >= wanted.wall_bytes
-            && self.read_bytes >= wanted.read_bytes
-            && (self.is_lit || !wanted.is_lit)
-    }
-}
-
-/// Buffers of one picture, which are reused for later pictures.
-#[derive(Debug)]
-pub(crate) struct Slot {
-    size: SlotSize,
-    pub(crate) uniforms: wgpu::Buffer,
-    pub(crate) light: wgpu::Buffer,
-    pub(crate) walls: wgpu::Buffer,
-    pub(crate) counts: wgpu::Buffer,
-    pub(crate) pixels: wgpu::Buffer,
-    pub(crate) depths: wgpu::Buffer,
-    pub(crate) state: wgpu::Buffer,
-    /// Buffer through which the CPU reads the results.
-    pub(crate) staging: wgpu::Buffer,
-}
+use crate::{
+    Gpu, GpuError,
+    device::lock,
+    light_uniforms::LightUniforms,
+    resources::{COUNT_BYTES, STATE_BYTES, Slot, SlotSize},
+    uniforms::Uniforms,
+};
 
 impl Gpu {
     /// Return buffers of at least the given sizes; free buffers are reused.
