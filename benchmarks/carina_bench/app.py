@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from carina.cli.arguments import check_output_folder
+from carina.cli.arguments import check_output_folder, parse_size
 from carina.cli.console import exit_codes
 from carina.cli.options import JsonOption
 
@@ -207,12 +207,13 @@ def bench_saving(
 def bench_stream(
     output: BenchFolder = Path("carina-bench"),
     case: Annotated[str, typer.Option("--case", help="phantom, patient, or a CT's path.")] = "phantom",
+    size: Annotated[str, typer.Option("--size", help="Size of the picture at rest, pixels.")] = "512x512",
     quick: BenchQuick = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Measure the time from an input to the decoded 512x512 picture that shows it, for keys and for a device.
+    """Measure the time from an input to the decoded picture that shows it, for keys and for a device.
 
-    A missed limit is reported; the exit code is still 0.
+    CARINA_BACKEND selects the processor of the server's pictures. A missed limit is reported; the exit code is still 0.
 
     Example: carina bench stream --quick
     """
@@ -220,7 +221,8 @@ def bench_stream(
         from carina_bench.stream import report
 
         check_output_folder(output)
-        raise SystemExit(report(folder=output, case=case, quick=quick, as_json=as_json))
+        pixels = parse_size(size)
+        raise SystemExit(report(folder=output, case=case, size=pixels, quick=quick, as_json=as_json))
 
 
 @bench.command("cluster")

@@ -18,6 +18,7 @@ from typing import Any
 import simplejpeg
 
 from carina.cli.console import print_json, print_note
+from carina.config import load_settings
 from carina.disk import make_folder, write_whole
 from carina.errors import CarinaError
 from carina.server.wire import messages as wire
@@ -25,8 +26,6 @@ from carina_bench.machine import machine_facts
 
 __all__ = ["report"]
 
-SIZE_PX = 512
-"""Width and height of the picture at rest, pixels."""
 LIMIT_MS = 50.0
 """Limit of the 95th percentile of the time, ms."""
 READY_S = 300.0
@@ -35,13 +34,13 @@ PERIOD_S = 1.0 / 60.0
 """Time between two inputs, s: 60 a second, the rate of a gamepad or a screen."""
 
 
-def report(*, folder: Path, case: str, quick: bool, as_json: bool) -> int:
+def report(*, folder: Path, case: str, size: tuple[int, int], quick: bool, as_json: bool) -> int:
     """Measure, print, and write ``stream.json``; return the exit code."""
     seconds = 4.0 if quick else 20.0
     with _server(case) as (host, token, pid):
         print_note("waiting for the airways")
         with _client(host, token) as client:
-            client.open()
+            client.open(size)
             rows = {}
             for name, device in (("steer", False), ("device", True)):
                 began_s, used_s = time.monotonic(), _used_s(pid)
@@ -50,7 +49,8 @@ def report(*, folder: Path, case: str, quick: bool, as_json: bool) -> int:
                     rows[name]["cores_used"] = ((_used_s(pid) or used_s) - used_s) / (time.monotonic() - began_s)
     facts = {
         "case": case,
-        "size": [SIZE_PX, SIZE_PX],
+        "size": list(size),
+        "backend": load_settings().backend,
         "limit_ms": LIMIT_MS,
         "rows": rows,
         "machine": machine_facts(),
@@ -61,6 +61,8 @@ def report(*, folder: Path, case: str, quick: bool, as_json: bool) -> int:
     if as_json:
         print_json(facts)
         return 0
+    # The sizes of the served pictures are those of squares with equal area.
+    whole_px = math.sqrt(size[0] * size[1])
     for name, row in rows.items():
         held = "held" if row["p95_ms"] <= LIMIT_MS else "missed"
         print(
@@ -69,7 +71,7 @@ def report(*, folder: Path, case: str, quick: bool, as_json: bool) -> int:
         )
         used = "" if "cores_used" not in row else f", {row['cores_used']:.2f} cores used"
         print(
-            f"  served at {row['p5_px']:.0f} to {row['p95_px']:.0f} px, median {row['p50_px']:.0f} of {SIZE_PX}; "
+            f"  served at {row['p5_px']:.0f} to {row['p95_px']:.0f} px, median {row['p50_px']:.0f} of {whole_px:.0f}; "
             f"{row['size_changes']} changes of size, {row['num_older']} older poses after newer ones{used}"
         )
     return 0
@@ -128,13 +130,13 @@ class _Client:
             self._pose_id = message.pose_id
         return message
 
-    def open(self) -> None:
-        """Open the connection and wait until the airways are found and the maps are built.
+    def open(self, size: tuple[int, int]) -> None:
+        """Open the connection, and wait until the airways are found and the maps are built.
 
-        Only then pictures have their full rate.
+        Only then pictures have their full rate. ``size`` is the width and height of the airway view, pixels.
         """
         self._send(wire.ClientHello(wire.WIRE_VERSION))
-        view = wire.ViewSize("airway", SIZE_PX, SIZE_PX)
+        view = wire.ViewSize("airway", *size)
         self._send(wire.Layout((view,)))
         end_s, ready = time.monotonic() + READY_S, False
         jobs: set[str] = set()

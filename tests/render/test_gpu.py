@@ -14,13 +14,14 @@ import threading
 
 import numpy as np
 import pytest
+from render_trees import forked
 
 from carina import _core
 from carina.errors import RenderError
 from carina.render import AirwayView, Backend, Renderer, find_adapters, transfer_preset
 from carina.render.graphics_device import PICTURES_FIRST
 from carina.render.processor_choice import MAX_PART_OFF, differing_share
-from carina.scopes import ImageField, Lens, Pose, scope_preset
+from carina.scopes import PINHOLE, DepthOfField, ImageField, Lens, Pose, scope_preset
 from carina.volume import Volume
 
 pytestmark = pytest.mark.gpu
@@ -41,11 +42,11 @@ def adapters():
     return found
 
 
-def both(volume, lumen_zyx=None, transfer=ENDOSCOPIC):
+def both(volume, lumen_zyx=None, transfer=ENDOSCOPIC, tree=None):
     renderers = [Renderer(volume, transfer=transfer, backend=Backend(mode)) for mode in ("cpu", "gpu")]
     for renderer in renderers:
         if lumen_zyx is not None:
-            renderer.set_lumen(lumen_zyx)
+            renderer.set_lumen(lumen_zyx, tree)
         renderer.prepare()
     return renderers
 
@@ -145,6 +146,59 @@ def test_walls_rendered_on_the_gpu_are_lit_as_on_the_cpu(airway):
         assert (assert_same(cpu, gpu, other, method="gpu-leap").rgb != lit.rgb).any()
     strips = [gpu.render(view, rows=rows).rgb for rows in ((0, 7), (7, 8), (8, 72))]
     np.testing.assert_array_equal(np.vstack(strips), lit.rgb)
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {},
+        {"rings": 2.0, "membrane": 0.0, "hue": 0.0},
+        {"rings": 0.0, "membrane": 2.0, "spurs": 0.0},
+        {"secretions": 0.8, "specks": 2.0},
+        {"fog": 0.6},
+        {"silhouettes": False, "vessels": 2.0},
+        {"exposure": 300.0, "shininess_log2": 2},
+    ],
+    ids=lambda changes: " ".join(changes) or "shipped",
+)
+def test_decorated_gpu_pictures_equal_cpu_pictures_for_every_look_lens_and_angle(airway, changes):
+    appearance = dataclasses.replace(ENDOSCOPIC.appearance, **changes)
+    transfer = dataclasses.replace(ENDOSCOPIC, appearance=appearance)
+    cpu, gpu = both(airway.volume, airway.lumen_zyx, transfer, forked())
+    size = {"width": 160, "height": 120}
+    for fov_deg in (60.0, 120.0):
+        for lens, field in (
+            (PINHOLE, ImageField()),
+            (scope_preset("generic").lens, ImageField("octagon", vignette=0.7)),
+            (Lens.equidistant(), ImageField("round", edge_px=3.0)),
+        ):
+            view = AirwayView(airway.pose, fov_deg=fov_deg, lens=lens, field=field, **size)
+            picture = assert_same(cpu, gpu, view, method="gpu-leap")
+            assert picture.decorated == cpu.render(view).decorated
+            assert picture.rgb.max() > 60
+
+
+def test_change_of_look_tree_or_lens_is_shown_in_the_next_gpu_picture(airway):
+    cpu, gpu = both(airway.volume, airway.lumen_zyx, ENDOSCOPIC, forked())
+    view = AirwayView(airway.pose, **SIZE)
+    before = assert_same(cpu, gpu, view).rgb
+    for renderer in (cpu, gpu):
+        renderer.set_lumen(airway.lumen_zyx, None)
+        renderer.prepare()
+    bare = assert_same(cpu, gpu, view).rgb
+    assert (before != bare).any()
+    for renderer in (cpu, gpu):
+        renderer.set_lumen(airway.lumen_zyx, forked())
+        renderer.prepare()
+    np.testing.assert_array_equal(assert_same(cpu, gpu, view).rgb, before)
+
+
+def test_gpu_picture_with_depth_of_field_equals_the_cpu_picture(airway):
+    cpu, gpu = both(airway.volume, airway.lumen_zyx)
+    field = ImageField("round", vignette=0.5)
+    lens = scope_preset("generic").lens
+    view = AirwayView(airway.pose, lens=lens, field=field, depth_of_field=DepthOfField(5.0, 30.0), **SIZE)
+    assert_same(cpu, gpu, view)
 
 
 def test_auto_backend_compares_cpu_and_gpu_pictures_with_the_transfer_function_of_the_case(airway, adapters):

@@ -12,7 +12,7 @@ import pytest
 from carina import _core
 from carina.errors import RenderError
 from carina.render import Adapter, AirwayView, Backend, Picture, Renderer, RenderStats, find_adapters
-from carina.render.graphics_device import NUM_PAIRS, PICTURES_FIRST, PICTURES_WITHOUT_MAP, DeviceCaster
+from carina.render.graphics_device import NUM_PAIRS, PICTURES_FIRST, PICTURES_WITHOUT_MAP, SLOW_PICTURES, DeviceCaster
 from carina.render.processor_choice import differing_share
 from carina.scopes import Pose
 
@@ -188,6 +188,29 @@ def test_lost_graphics_device_loses_no_picture_and_logs_one_message(mode, caplog
     assert set(fixture.fly(a_scene())) == {"cpu"}, "not trusted again in this process"
     assert [record.levelname for record in caplog.records if record.levelno >= 30] == ["WARNING"]
     assert "lost" in caplog.text
+
+
+def test_graphics_device_that_has_become_slow_is_given_up_with_one_message(caplog):
+    fixture, scene = BackendFixture(SimulatedDevice(gpu_ms=2.0, cpu_ms=10.0), "auto"), a_scene()
+    for _ in range(PICTURES_FIRST):
+        fixture.picture(scene)
+    fixture.run_work()
+    assert fixture.picture(scene) == "gpu"
+    fixture.device.ms["gpu"] = 500.0
+    for _ in range(SLOW_PICTURES - 1):
+        assert fixture.picture(scene) == "gpu"
+    fixture.device.ms["gpu"] = 2.0
+    assert fixture.picture(scene) == "gpu", "a few slow pictures have other causes"
+    fixture.device.ms["gpu"] = 500.0
+    for _ in range(SLOW_PICTURES):
+        assert fixture.picture(scene) == "gpu"
+    assert fixture.picture(scene) == "cpu"
+    assert "has become slow" in caplog.text
+
+
+def test_slow_graphics_device_stays_in_use_if_the_user_chose_it():
+    fixture, scene = BackendFixture(SimulatedDevice(gpu_ms=500.0, cpu_ms=10.0), "gpu"), a_scene()
+    assert {fixture.picture(scene) for _ in range(2 * SLOW_PICTURES)} == {"gpu"}
 
 
 def test_graphics_device_is_used_for_other_volumes_after_a_volume_that_is_too_large(caplog):

@@ -8,12 +8,14 @@ use std::{
     any::Any,
     ops::Range,
     panic::{AssertUnwindSafe, catch_unwind},
-    sync::Arc,
+    sync::{Arc, Mutex, PoisonError},
 };
 
-use carina_gpu::{GpuError, GpuMap, GpuVolume};
-use carina_raycast::{CastStats, Frame, InstructionSet, Method, light_gathered};
-use numpy::{PyArray3, PyArrayMethods, PyReadonlyArray3, PyUntypedArrayMethods};
+use carina_gpu::{GpuDecoration, GpuError, GpuMap, GpuVolume, Resident};
+use carina_raycast::{CastStats, Decoration, Frame};
+use numpy::{
+    PyArray3, PyArray4, PyArrayMethods, PyReadonlyArray3, PyReadonlyArray4, PyUntypedArrayMethods,
+};
 use pyo3::prelude::*;
 
 use crate::{
@@ -101,6 +103,7 @@ impl Gpu {
             gpu: Arc::clone(&self.inner),
             volume: Arc::new(volume),
             map: None,
+            decoration: Arc::default(),
             values: hu_zyx.as_unbound().clone_ref(py),
         };
         bare.with_map(py, radius_zyx)
@@ -117,12 +120,18 @@ impl Gpu {
     }
 }
 
+/// Anatomical data on a device, with the array from which they were copied.
+type UploadedDecoration = (Py<PyArray4<f32>>, Arc<GpuDecoration>);
+
 /// Volume on a graphics device, with or without the radius map that leaps need.
 #[pyclass(frozen, module = "carina._core")]
 pub(crate) struct GpuScene {
     gpu: Arc<carina_gpu::Gpu>,
     volume: Arc<GpuVolume>,
     map: Option<Arc<GpuMap>>,
+    /// Anatomical data of the last decorated picture; the reference to their array prevents another array from getting
+    /// the same address in memory.
+    decoration: Arc<Mutex<Option<UploadedDecoration>>>,
     /// Array of the values that were copied to the device.
     ///
     /// The reference prevents another array from getting the same address in memory.
@@ -151,6 +160,7 @@ impl GpuScene {
             gpu: Arc::clone(&self.gpu),
             volume: Arc::clone(&self.volume),
             map,
+            decoration: Arc::clone(&self.decoration),
             values: self.values.clone_ref(py),
         })
     }
@@ -161,36 +171,66 @@ impl GpuScene {
     }
 }
 
+/// Anatomical data for the decoration of a frame, with the array that contains them.
+pub(crate) type DecorationOf<'a, 'py> = (&'a PyReadonlyArray4<'py, f32>, Decoration<'a>);
+
 impl GpuScene {
-    /// Cast rows of a picture on the device; return RGB and statistics.
+    /// Cast and shade rows of a picture on the device; return RGB and statistics.
     ///
-    /// `hu_zyx` must be the array that was copied to the device. Walls that are shaded after the cast are shaded on the
-    /// CPU, with `method` and `simd`.
+    /// `hu_zyx` must be the array that was copied to the device. `darken` applies the gains of the lens.
     pub(crate) fn cast(
         &self,
         py: Python<'_>,
         frame: &Frame<'_>,
         hu_zyx: &PyReadonlyArray3<'_, i16>,
         rows: Range<usize>,
-        method: Method<'_>,
-        simd: InstructionSet,
+        decoration: Option<DecorationOf<'_, '_>>,
+        darken: bool,
     ) -> PyResult<(Vec<u8>, CastStats)> {
         if self.values.bind(py).data() != hu_zyx.data() {
             return Err(pyo3::exceptions::PyValueError::new_err(
                 "the graphics device holds another volume than hu_zyx",
             ));
         }
-        let map = self.map.as_deref();
-        let cast = || {
-            if !frame.lights_walls() {
-                return self.gpu.cast(frame, &self.volume, map, rows);
-            }
-            let (walls, stats) = self
-                .gpu
-                .cast_walls_to_light(frame, &self.volume, map, &rows)?;
-            Ok(light_gathered(frame, method, rows, simd, &walls, stats)?)
+        let decoration = match decoration {
+            Some(of_frame) if frame.lights_walls() => Some(self.uploaded(py, &of_frame)?),
+            _ => None,
         };
+        let resident = Resident {
+            volume: &self.volume,
+            map: self.map.as_deref(),
+            decoration: decoration.as_deref(),
+        };
+        let cast = || self.gpu.cast(frame, resident, rows, darken);
         py.detach(|| guarded(cast)).map_err(IntoPy::into_py)
+    }
+
+    /// Return anatomical data on the device; the data of the previous picture are reused if their array is the same.
+    fn uploaded(
+        &self,
+        py: Python<'_>,
+        (array, decoration): &DecorationOf<'_, '_>,
+    ) -> PyResult<Arc<GpuDecoration>> {
+        {
+            let cached = self
+                .decoration
+                .lock()
+                .unwrap_or_else(PoisonError::into_inner);
+            if let Some((of, on_device)) = cached.as_ref()
+                && of.bind(py).data() == array.data()
+            {
+                return Ok(Arc::clone(on_device));
+            }
+        }
+        let upload = || guarded(|| self.gpu.upload_decoration(decoration));
+        let on_device = Arc::new(py.detach(upload).map_err(IntoPy::into_py)?);
+        let cells = array.as_unbound().clone_ref(py);
+        let mut cached = self
+            .decoration
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner);
+        *cached = Some((cells, Arc::clone(&on_device)));
+        Ok(on_device)
     }
 }
 

@@ -8,8 +8,8 @@
 
 use std::{convert::Infallible, ops::Range};
 
-use carina_raycast::{CastStats, Frame, InstructionSet, Method};
-use numpy::PyReadonlyArray3;
+use carina_raycast::{CastStats, Decoration, Frame};
+use numpy::{PyReadonlyArray3, PyReadonlyArray4};
 use pyo3::prelude::*;
 
 use crate::errors::carina_error;
@@ -66,6 +66,9 @@ impl GpuScene {
     }
 }
 
+/// Anatomical data for the decoration of a frame, with the array that contains them.
+type DecorationOf<'a, 'py> = (&'a PyReadonlyArray4<'py, f32>, Decoration<'a>);
+
 impl GpuScene {
     pub(crate) fn cast(
         &self,
@@ -73,8 +76,8 @@ impl GpuScene {
         _frame: &Frame<'_>,
         _hu_zyx: &PyReadonlyArray3<'_, i16>,
         _rows: Range<usize>,
-        _method: Method<'_>,
-        _simd: InstructionSet,
+        _decoration: Option<DecorationOf<'_, '_>>,
+        _darken: bool,
     ) -> PyResult<(Vec<u8>, CastStats)> {
         match self.never {}
     }

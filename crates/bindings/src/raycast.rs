@@ -412,8 +412,9 @@ fn cast<'py>(
     if let Some(transparency) = stop_transparency {
         frame = frame.stopping_at(transparency).map_err(IntoPy::into_py)?;
     }
-    if let Some(decoration) = &decoration {
-        frame = frame.decorated_by(decoration.as_core()?);
+    let anatomy = decoration.as_ref().map(PyDecoration::as_core).transpose()?;
+    if let Some(anatomy) = anatomy {
+        frame = frame.decorated_by(anatomy);
     }
     if always_leap {
         frame = frame.leaping_always();
@@ -452,8 +453,9 @@ fn cast<'py>(
         // A cast on the GPU takes milliseconds, so it is cancelled only before it starts.
         (Some(_), Some(stop)) if stop.load(Ordering::Relaxed) => None,
         (Some(scene), _) => {
+            let decoration = decoration.as_ref().map(|object| &object.cells).zip(anatomy);
             let scene = scene.get();
-            Some(scene.cast(py, &frame, &hu_zyx, start..end, method, simd)?)
+            Some(scene.cast(py, &frame, &hu_zyx, start..end, decoration, darken)?)
         }
         (None, None) => {
             pool::detached(py, || cast_rows(&frame, method, start..end, simd).map(Some))
@@ -465,7 +467,12 @@ fn cast<'py>(
         .map_err(IntoPy::into_py)?,
     };
     let done = done.map(|(mut rgb, stats)| {
-        if let Some(rays) = frame.camera().lens_rays().filter(|_| darken) {
+        // A graphics device has darkened its picture itself.
+        if let Some(rays) = frame
+            .camera()
+            .lens_rays()
+            .filter(|_| darken && gpu.is_none())
+        {
             pool::detached(py, || rays.shade_rows(start, &mut rgb));
         }
         (rgb, stats)

@@ -5,7 +5,7 @@
 override SHADED: bool = true;
 override NEAREST: bool = false;
 override LEAP: bool = true;
-// Whether the kernel writes the results of each ray instead of colours, for shading on the CPU and for depths.
+// Whether the kernel writes the results of each ray instead of colours, for the shading of walls and for depths.
 override WALLS: bool = false;
 
 // Number of samples that a ray takes after its first look-up that saved nothing (schedule of look-ups: see leap.rs).
@@ -52,6 +52,24 @@ struct Frame {
     guard_vox: f32,
     // Transparency below which a ray stops.
     stop: f32,
+    // Pinhole camera: focal length and half of the picture's size, in pixels.
+    focal_px: f32,
+    half_width: f32,
+    half_height: f32,
+    height: u32,
+    // Row of the picture at which this band starts, and the row of the buffers of the picture to which it belongs.
+    first_row: u32,
+    out_row: u32,
+    // 1 if the directions of the rays are in `directions`; 0 for a pinhole camera.
+    has_lens: u32,
+    // 1 if the pixels are darkened by the gains of the lens.
+    darkens: u32,
+    // 1 if the work of the band is counted.
+    counts_work: u32,
+    // Number of rows of the buffers of the picture, and the row of the picture at which they start.
+    num_all_rows: u32,
+    first_of_all: u32,
+    unused: u32,
 }
 
 @group(0) @binding(0) var<uniform> frame: Frame;
@@ -59,12 +77,14 @@ struct Frame {
 @group(0) @binding(2) var radius: texture_3d<u32>;
 // Premultiplied colour and opacity of one ray step by integer HU.
 @group(0) @binding(3) var<storage, read> table: array<vec4<f32>>;
-// Unit directions in camera space, three numbers per pixel; 0 0 0 for a pixel without a ray.
-@group(0) @binding(4) var<storage, read> directions: array<f32>;
-// One word per pixel: RGBA, alpha 255. With WALLS five words: the bits of colour, transparency and first wall in steps.
-@group(0) @binding(5) var<storage, read_write> out: array<u32>;
-// Numbers of samples, look-ups, leaps, skipped samples and shaded samples of each workgroup.
-@group(0) @binding(6) var<storage, read_write> counts: array<u32>;
+// Unit directions in camera space and gains of all pixels behind a lens; 0 0 0 for a pixel without a ray.
+@group(0) @binding(4) var<storage, read> directions: array<vec4<f32>>;
+// Rays of a band, five words per pixel: the bits of colour, transparency and first wall in steps.
+@group(0) @binding(5) var<storage, read_write> walls: array<u32>;
+// Numbers of samples, look-ups, leaps, skipped samples and shaded samples, each in two words, the lower first.
+@group(0) @binding(6) var<storage, read_write> counts: array<atomic<u32>>;
+// Colours of the picture, one word per pixel: RGBA, alpha 255.
+@group(0) @binding(7) var<storage, read_write> pixels: array<u32>;
 
 var<workgroup> num_samples: atomic<u32>;
 var<workgroup> num_lookups: atomic<u32>;
@@ -83,6 +103,15 @@ struct Cell {
     // Lower corner of the cell, and the position in the cell, 0 to 1.
     ijk: vec3<i32>,
     t: vec3<f32>,
+}
+
+// Work of a ray.
+struct Work {
+    samples: u32,
+    lookups: u32,
+    leaps: u32,
+    skipped: u32,
+    lit: u32,
 }
 
 struct Gathered {
@@ -244,8 +273,39 @@ fn place(ray: Ray, k: u32) -> vec3<f32> {
     return fma(vec3<f32>(f32(k) + 0.5), ray.delta, frame.origin.xyz);
 }
 
-fn ray_of(pixel: u32) -> Ray {
-    let dir = vec3<f32>(directions[3u * pixel], directions[3u * pixel + 1u], directions[3u * pixel + 2u]);
+// Return the unit direction of a pixel's ray in camera space and the gain of the pixel; row 0 is the picture's first row.
+fn direction_of(column: u32, row: u32) -> vec4<f32> {
+    if frame.has_lens == 1u {
+        return directions[row * frame.width + column];
+    }
+    return pinhole(f32(column) + 0.5, f32(row) + 0.5);
+}
+
+fn pinhole(x: f32, y: f32) -> vec4<f32> {
+    let dir = vec3<f32>(x - frame.half_width, y - frame.half_height, frame.focal_px);
+    return vec4<f32>(dir / sqrt(dot(dir, dir)), 1.0);
+}
+
+// Darken the levels of a pixel by its gain.
+fn darkened(level: vec3<u32>, gain: f32) -> vec3<u32> {
+    if frame.darkens == 0u {
+        return level;
+    }
+    let part = u32(gain * f32(FULL_GAIN) + 0.5);
+    return (level * part + FULL_GAIN / 2u) / FULL_GAIN;
+}
+
+fn store_pixel(index: u32, level: vec3<u32>) {
+    pixels[index] = level.r | level.g << 8u | level.b << 16u | 0xff000000u;
+}
+
+// Return the levels of a colour from 0 to 1.
+fn levels(colour: vec3<f32>) -> vec3<u32> {
+    let bytes = fma(colour, vec3<f32>(255.0), vec3<f32>(0.5));
+    return vec3<u32>(clamp(bytes, vec3<f32>(0.0), vec3<f32>(255.0)));
+}
+
+fn ray_along(dir: vec3<f32>) -> Ray {
     let delta = vec3<f32>(dot(frame.step_i.xyz, dir), dot(frame.step_j.xyz, dir), dot(frame.step_k.xyz, dir));
     var first = 0.0;
     var end = MAX_STEPS;
@@ -288,87 +348,108 @@ fn starts_in_region() -> bool {
     return inside && textureLoad(radius, corner_of(frame.origin.xyz), 0).x > 0u;
 }
 
-@compute @workgroup_size(8, 8)
-fn cast_airway(
-    @builtin(global_invocation_id) at: vec3<u32>,
-    @builtin(local_invocation_index) lane: u32,
-    @builtin(workgroup_id) group: vec3<u32>,
-    @builtin(num_workgroups) num_groups: vec3<u32>,
-) {
-    let on_picture = at.x < frame.width && at.y < frame.num_rows;
-    let pixel = at.y * frame.width + at.x;
+// Cast a ray and add its work to `work`.
+fn gather(ray: Ray, work: ptr<function, Work>) -> Gathered {
     var gathered = Gathered(vec3<f32>(0.0), 1.0, NO_HIT);
-    if on_picture {
-        let ray = ray_of(pixel);
-        var k = ray.first;
-        var lookups = 0u;
-        var leaps = 0u;
-        var skipped = 0u;
-        var lit = 0u;
-        var ask_at = ray.first;
-        var patience = MIN_PATIENCE;
-        if LEAP && !starts_in_region() {
-            ask_at += BLIND_SAMPLES;
-            patience = 2u * BLIND_SAMPLES;
-        }
-        while k < ray.end {
-            let p = place(ray, k);
-            if LEAP {
-                if k >= ask_at {
-                    let v = corner_of(p);
-                    lookups += 1u;
-                    let r = textureLoad(radius, v, 0).x;
-                    if r > 0u {
-                        // All corners of this sample and of the next n samples are in the cube.
-                        let reach = f32(r) + (-0.5 - frame.guard_vox);
-                        let n = steps_within(ray, p, vec3<f32>(v) + 0.5, reach);
-                        let passed = min(n + 1u, ray.end - k);
-                        leaps += 1u;
-                        skipped += passed;
-                        if passed >= PAYING_LEAP {
-                            patience = MIN_PATIENCE;
-                        }
-                        k += passed;
-                        continue;
+    var k = ray.first;
+    var lookups = 0u;
+    var leaps = 0u;
+    var skipped = 0u;
+    var lit = 0u;
+    var ask_at = ray.first;
+    var patience = MIN_PATIENCE;
+    if LEAP && !starts_in_region() {
+        ask_at += BLIND_SAMPLES;
+        patience = 2u * BLIND_SAMPLES;
+    }
+    while k < ray.end {
+        let p = place(ray, k);
+        if LEAP {
+            if k >= ask_at {
+                let v = corner_of(p);
+                lookups += 1u;
+                let r = textureLoad(radius, v, 0).x;
+                if r > 0u {
+                    // All corners of this sample and of the next n samples are in the cube.
+                    let reach = f32(r) + (-0.5 - frame.guard_vox);
+                    let n = steps_within(ray, p, vec3<f32>(v) + 0.5, reach);
+                    let passed = min(n + 1u, ray.end - k);
+                    leaps += 1u;
+                    skipped += passed;
+                    if passed >= PAYING_LEAP {
+                        patience = MIN_PATIENCE;
                     }
-                    ask_at = k + patience;
-                    patience = min(2u * patience, MAX_PATIENCE);
+                    k += passed;
+                    continue;
                 }
-            }
-            k += 1u;
-            if add_sample(ray, k - 1u, p, &gathered) {
-                lit += 1u;
-                ask_at = max(ask_at, k + 1u);
-                if gathered.transparency < frame.stop {
-                    break;
-                }
+                ask_at = k + patience;
+                patience = min(2u * patience, MAX_PATIENCE);
             }
         }
-        atomicAdd(&num_samples, k - ray.first - skipped);
-        atomicAdd(&num_lookups, lookups);
-        atomicAdd(&num_leaps, leaps);
-        atomicAdd(&num_skipped, skipped);
-        atomicAdd(&num_lit, lit);
+        k += 1u;
+        if add_sample(ray, k - 1u, p, &gathered) {
+            lit += 1u;
+            ask_at = max(ask_at, k + 1u);
+            if gathered.transparency < frame.stop {
+                break;
+            }
+        }
+    }
+    (*work).samples += k - ray.first - skipped;
+    (*work).lookups += lookups;
+    (*work).leaps += leaps;
+    (*work).skipped += skipped;
+    (*work).lit += lit;
+    return gathered;
+}
+
+// Add the work of a thread to that of its workgroup.
+fn add_work(work: Work) {
+    atomicAdd(&num_samples, work.samples);
+    atomicAdd(&num_lookups, work.lookups);
+    atomicAdd(&num_leaps, work.leaps);
+    atomicAdd(&num_skipped, work.skipped);
+    atomicAdd(&num_lit, work.lit);
+}
+
+// Add a number to a counter of two words.
+fn count(counter: u32, number: u32) {
+    let before = atomicAdd(&counts[2u * counter], number);
+    if before + number < before {
+        atomicAdd(&counts[2u * counter + 1u], 1u);
+    }
+}
+
+// Add the work of a workgroup to that of the picture.
+fn count_work() {
+    count(0u, atomicLoad(&num_samples));
+    count(1u, atomicLoad(&num_lookups));
+    count(2u, atomicLoad(&num_leaps));
+    count(3u, atomicLoad(&num_skipped));
+    count(4u, atomicLoad(&num_lit));
+}
+
+@compute @workgroup_size(8, 8)
+fn cast_airway(@builtin(global_invocation_id) at: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
+    if at.x < frame.width && at.y < frame.num_rows {
+        let pixel = at.y * frame.width + at.x;
+        let direction = direction_of(at.x, frame.first_row + at.y);
+        var work = Work();
+        let gathered = gather(ray_along(direction.xyz), &work);
+        add_work(work);
         if WALLS {
             let words = bitcast<vec4<u32>>(vec4<f32>(gathered.rgb, gathered.transparency));
             for (var c = 0u; c < 4u; c++) {
-                out[5u * pixel + c] = words[c];
+                walls[5u * pixel + c] = words[c];
             }
-            out[5u * pixel + 4u] = bitcast<u32>(gathered.hit);
+            walls[5u * pixel + 4u] = bitcast<u32>(gathered.hit);
         } else {
             let over = fma(vec3<f32>(gathered.transparency), frame.background.rgb, gathered.rgb);
-            let bytes = clamp(fma(over, vec3<f32>(255.0), vec3<f32>(0.5)), vec3<f32>(0.0), vec3<f32>(255.0));
-            let level = vec3<u32>(bytes);
-            out[pixel] = level.r | level.g << 8u | level.b << 16u | 0xff000000u;
+            store_pixel(frame.out_row * frame.width + pixel, darkened(levels(over), direction.w));
         }
     }
     workgroupBarrier();
-    if lane == 0u {
-        let slot = 5u * (group.y * num_groups.x + group.x);
-        counts[slot] = atomicLoad(&num_samples);
-        counts[slot + 1u] = atomicLoad(&num_lookups);
-        counts[slot + 2u] = atomicLoad(&num_leaps);
-        counts[slot + 3u] = atomicLoad(&num_skipped);
-        counts[slot + 4u] = atomicLoad(&num_lit);
+    if lane == 0u && frame.counts_work == 1u {
+        count_work();
     }
 }

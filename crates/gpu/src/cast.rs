@@ -1,23 +1,27 @@
-//! Casting of a picture on the device: one dispatch for each band of rows, read back when the band is finished.
+//! Casting of a picture on the device: bands of rows, one after the other, and one read-back of the finished picture.
 
 use std::ops::Range;
 
 use carina_raycast::{
-    CastStats, Frame, FrameParameters, Gathered, Interpolation, Method, RaycastError,
+    CastStats, Frame, FrameParameters, Gathered, Interpolation, Method, RaycastError, WallLighting,
     rows_to_gather,
 };
 use rayon::prelude::*;
 
 use crate::{
     Gpu, GpuError, GpuMap, GpuVolume,
-    device::{Variant, lock},
-    resources::Slot,
-    uniforms::Uniforms,
+    light_uniforms::LightUniforms,
+    passes::Tables,
+    picture::{Picture, WORDS_OF_A_WALL},
+    read_back::add_counts,
+    resources::{COUNT_BYTES, RESULT_BYTES, Resident, SlotSize},
+    stages::{Stage, Variant},
+    uniforms::{Band, Uniforms},
 };
 
 /// Number of pixels along each side of a workgroup.
 const GROUP: usize = 8;
-/// Largest number of pixels of a band; it limits the buffers to 16 MB for a picture and to 80 MB for walls.
+/// Largest number of pixels of a band; it limits the buffer of a band's rays to 40 MB.
 const BAND_PIXELS: usize = 1 << 21;
 /// Largest number of samples of all rays of a band.
 ///
@@ -26,29 +30,21 @@ const BAND_PIXELS: usize = 1 << 21;
 const BAND_SAMPLES: f64 = 5e8;
 /// Largest number of steps of a ray; f32 counts steps exactly to 2^24, and the ends of a ray are computed in f32 here.
 const MAX_STEPS: f64 = 4_194_304.0;
-/// Number of 32-bit words per pixel in the output of walls.
-const WORDS_OF_A_WALL: usize = 5;
 /// Smallest number of pixels that one CPU thread converts after the read-back.
 const SHARE: usize = 1 << 13;
-/// Number of counters that a workgroup writes.
-const COUNTS: usize = 5;
-
-/// Frame to be cast, with its volume and its radius map on the device.
-#[derive(Clone, Copy)]
-struct Job<'a> {
-    frame: &'a Frame<'a>,
-    parameters: &'a FrameParameters<'a>,
-    volume: &'a GpuVolume,
-    map: Option<&'a GpuMap>,
-    variant: Variant,
-}
+/// Number of workgroups that fill bricks.
+const FILL_GROUPS: u32 = 256;
+/// Largest number of workgroups that smooth silhouettes, and number of threads of each.
+const SMOOTH_GROUPS: usize = 512;
+const SMOOTH_THREADS: usize = 64;
+/// Number of workgroups that meter the exposure with eight rays each.
+const METER_GROUPS: u32 = 18;
 
 impl Gpu {
-    /// Cast `rows` of a picture as 8-bit RGB, `[row, column, channel]`.
+    /// Cast and shade `rows` of a picture as 8-bit RGB, `[row, column, channel]`.
     ///
-    /// `volume` contains the values of the frame's volume, `map` the radii of its transparent classes; without a map
-    /// every sample is taken. The picture equals that of the CPU within one grey level on all but a few pixels (see the
-    /// crate documentation).
+    /// `darken` applies the gains of the lens. The picture equals that of the CPU within one grey level on all but a few
+    /// pixels (see the crate documentation).
     ///
     /// # Errors
     ///
@@ -56,23 +52,88 @@ impl Gpu {
     pub fn cast(
         &self,
         frame: &Frame<'_>,
-        volume: &GpuVolume,
-        map: Option<&GpuMap>,
+        resident: Resident<'_>,
         rows: Range<usize>,
+        darken: bool,
     ) -> Result<(Vec<u8>, CastStats), GpuError> {
-        let mut rgb: Vec<[u8; 3]> = Vec::with_capacity(rows.len() * frame.camera().width());
-        let stats = self.bands(frame, volume, map, rows, false, |words| {
-            let pixels = words.as_chunks::<4>().0.par_iter().with_min_len(SHARE);
+        let parameters = &frame.parameters();
+        check(self, parameters, resident, &rows)?;
+        let width = parameters.width;
+        let mut stats = CastStats {
+            num_rays: (rows.len() * width) as u64,
+            ..CastStats::default()
+        };
+        if rows.is_empty() {
+            return Ok((Vec::new(), stats));
+        }
+        let lighting = frame.wall_lighting();
+        let smooths = lighting
+            .as_ref()
+            .is_some_and(|light| light.look.silhouettes);
+        let variant = Variant {
+            shaded: parameters.options.light.is_some(),
+            nearest: parameters.options.interpolation == Interpolation::Nearest,
+            leap: resident.map.is_some(),
+            walls: lighting.is_some(),
+        };
+        let all = rows_to_gather(frame, &rows);
+        let num_rows = rows_per_band(parameters);
+        let picture = self.prepared(
+            frame,
+            resident,
+            variant,
+            (all.clone(), num_rows),
+            lighting.as_ref(),
+            darken,
+        )?;
+        self.start_picture(&picture)?;
+        let mut bands: Vec<Band> = Vec::new();
+        let mut add = |rows: Range<usize>, counts_work: bool| {
+            let starts = rows.clone().step_by(num_rows);
+            bands.extend(starts.map(|first| Band {
+                rows: first..(first + num_rows).min(rows.end),
+                all: all.clone(),
+                counts_work,
+            }));
+        };
+        // The rows beside a strip belong to other strips, which count their work.
+        add(all.start..rows.start, false);
+        add(rows.clone(), true);
+        add(rows.end..all.end, false);
+        for band in &bands {
+            self.band(&picture, band);
+        }
+        if smooths {
+            self.smooth(&picture, &rows, parameters);
+        }
+        let first = (rows.start - all.start) * width;
+        let mut rgb: Vec<[u8; 3]> = Vec::with_capacity(rows.len() * width);
+        let num_missing = self.results(picture, first..first + rows.len() * width, |results| {
+            add_counts(&mut stats, results.counts, variant.shaded);
+            let pixels = results
+                .pixels
+                .as_chunks::<4>()
+                .0
+                .par_iter()
+                .with_min_len(SHARE);
             rgb.par_extend(pixels.clone().map(|&[r, g, b, _]| [r, g, b]));
-            // The buffer was cleared, so a pixel that the kernel did not write has an alpha of 0.
+            stats = stats.with_loads(frame, Method::Brute);
+            if variant.walls {
+                stats = stats.with_lit_walls(u64::from(results.num_lit));
+            }
+            // The buffer was cleared, so a pixel that the kernels did not write has an alpha of 0.
             pixels.filter(|pixel| pixel[3] != 255).count()
         })?;
+        if num_missing > 0 {
+            return Err(GpuError::Incomplete {
+                name: self.facts.name.clone(),
+                num_missing,
+            });
+        }
         Ok((rgb.into_flattened(), stats))
     }
 
     /// Cast the rays of `rows` without any light and return their results, including first walls, `[row, column]`.
-    ///
-    /// [`carina_raycast::light_gathered`] shades the result if the frame has an appearance.
     ///
     /// # Errors
     ///
@@ -80,104 +141,65 @@ impl Gpu {
     pub fn cast_walls(
         &self,
         frame: &Frame<'_>,
-        volume: &GpuVolume,
-        map: Option<&GpuMap>,
+        resident: Resident<'_>,
         rows: Range<usize>,
     ) -> Result<(Vec<Gathered>, CastStats), GpuError> {
-        let mut walls = Vec::with_capacity(rows.len() * frame.camera().width());
-        let stats = self.bands(frame, volume, map, rows, true, |words| {
-            let before = walls.len();
-            let pixels = words.as_chunks::<{ 4 * WORDS_OF_A_WALL }>().0.par_iter();
-            walls.par_extend(pixels.with_min_len(SHARE).map(|pixel| {
-                let [r, g, b, transparency, hit] = bytemuck::pod_read_unaligned::<[f32; 5]>(pixel);
-                Gathered {
-                    rgb: [r, g, b],
-                    transparency,
-                    hit,
-                }
-            }));
-            // The distance of a first wall is above 0 steps; -1 means no wall.
-            walls[before..]
-                .par_iter()
-                .with_min_len(SHARE)
-                .filter(|wall| wall.hit == 0.0)
-                .count()
-        })?;
-        Ok((walls, stats))
-    }
-
-    /// Cast the rays that [`carina_raycast::light_gathered`] needs to shade `rows`.
-    ///
-    /// The statistics are of `rows` alone, so that the statistics of strips can be added.
-    ///
-    /// # Errors
-    ///
-    /// Returns an error if the device cannot cast the frame or is lost.
-    pub fn cast_walls_to_light(
-        &self,
-        frame: &Frame<'_>,
-        volume: &GpuVolume,
-        map: Option<&GpuMap>,
-        rows: &Range<usize>,
-    ) -> Result<(Vec<Gathered>, CastStats), GpuError> {
-        let all = rows_to_gather(frame, rows);
-        let (walls, stats) = self.cast_walls(frame, volume, map, rows.clone())?;
-        if all == *rows {
-            return Ok((walls, stats));
-        }
-        let cast_rows = |rows: Range<usize>| {
-            if rows.is_empty() {
-                return Ok(Vec::new());
-            }
-            Ok::<_, GpuError>(self.cast_walls(frame, volume, map, rows)?.0)
-        };
-        let (before, after) = (
-            cast_rows(all.start..rows.start)?,
-            cast_rows(rows.end..all.end)?,
-        );
-        Ok(([before, walls, after].concat(), stats))
-    }
-
-    /// Cast rows of a frame band by band.
-    ///
-    /// `take` receives the output of the kernel for each band and returns the number of pixels that the kernel did not
-    /// write.
-    fn bands(
-        &self,
-        frame: &Frame<'_>,
-        volume: &GpuVolume,
-        map: Option<&GpuMap>,
-        rows: Range<usize>,
-        walls: bool,
-        mut take: impl FnMut(&[u8]) -> usize,
-    ) -> Result<CastStats, GpuError> {
-        self.check_alive()?;
         let parameters = &frame.parameters();
-        check(self, parameters, volume, map, &rows, walls)?;
+        check(self, parameters, resident, &rows)?;
+        let width = parameters.width;
         let variant = Variant {
-            shaded: parameters.options.light.is_some() && !walls,
+            shaded: false,
             nearest: parameters.options.interpolation == Interpolation::Nearest,
-            leap: map.is_some(),
-            walls,
+            leap: resident.map.is_some(),
+            walls: true,
         };
-        let job = Job {
-            frame,
-            parameters,
-            volume,
-            map,
-            variant,
-        };
-        let by_samples = BAND_SAMPLES / (parameters.width as f64 * parameters.most_steps);
-        let num_rows = (BAND_PIXELS / parameters.width)
-            .min(by_samples as usize)
-            .max(1);
         let mut stats = CastStats {
-            num_rays: (rows.len() * parameters.width) as u64,
+            num_rays: (rows.len() * width) as u64,
             ..CastStats::default()
         };
+        let mut walls = Vec::with_capacity(rows.len() * width);
+        let num_rows = rows_per_band(parameters);
         for first in rows.clone().step_by(num_rows) {
             let band = first..(first + num_rows).min(rows.end);
-            let num_missing = self.band(job, &band, &mut stats, &mut take)?;
+            let picture = self.prepared(
+                frame,
+                resident,
+                variant,
+                (band.clone(), num_rows),
+                None,
+                false,
+            )?;
+            self.start_picture(&picture)?;
+            let num_pixels = band.len() * width;
+            self.band(
+                &picture,
+                &Band {
+                    rows: band.clone(),
+                    all: band,
+                    counts_work: true,
+                },
+            );
+            let before = walls.len();
+            self.results(picture, 0..num_pixels, |results| {
+                add_counts(&mut stats, results.counts, false);
+                let pixels = results
+                    .pixels
+                    .as_chunks::<{ 4 * WORDS_OF_A_WALL }>()
+                    .0
+                    .par_iter();
+                walls.par_extend(pixels.with_min_len(SHARE).map(|pixel| {
+                    let [r, g, b, transparency, hit] =
+                        bytemuck::pod_read_unaligned::<[f32; 5]>(pixel);
+                    Gathered {
+                        rgb: [r, g, b],
+                        transparency,
+                        hit,
+                    }
+                }));
+            })?;
+            // The distance of a first wall is above 0 steps; -1 means no wall.
+            let new = walls[before..].par_iter().with_min_len(SHARE);
+            let num_missing = new.filter(|wall| wall.hit == 0.0).count();
             if num_missing > 0 {
                 return Err(GpuError::Incomplete {
                     name: self.facts.name.clone(),
@@ -187,125 +209,215 @@ impl Gpu {
         }
         // Leaps with a map of transparent classes read no label, so the reads are those of brute force plus the
         // look-ups.
-        Ok(stats.with_loads(frame, Method::Brute))
+        Ok((walls, stats.with_loads(frame, Method::Brute)))
     }
 
-    fn band(
+    /// Prepare the resources of a picture.
+    ///
+    /// `rows` are the rows of the picture's buffers and the number of rows of a band.
+    fn prepared<'a>(
         &self,
-        job: Job<'_>,
-        rows: &Range<usize>,
-        stats: &mut CastStats,
-        take: &mut impl FnMut(&[u8]) -> usize,
-    ) -> Result<usize, GpuError> {
-        let width = job.parameters.width;
-        let words = if job.variant.walls {
-            WORDS_OF_A_WALL
+        frame: &'a Frame<'a>,
+        resident: Resident<'a>,
+        variant: Variant,
+        (all, num_rows): (Range<usize>, usize),
+        lighting: Option<&WallLighting<'_>>,
+        darken: bool,
+    ) -> Result<Picture<'a>, GpuError> {
+        self.check_alive()?;
+        let parameters = &frame.parameters();
+        let num_pixels = (all.len() * parameters.width) as u64;
+        let band_pixels = (num_rows.min(all.len()) * parameters.width) as u64;
+        let wall_bytes = if variant.walls {
+            4 * WORDS_OF_A_WALL as u64 * band_pixels
         } else {
-            1
+            0
         };
-        let groups = [width.div_ceil(GROUP), rows.len().div_ceil(GROUP)];
-        let out_bytes = 4 * (rows.len() * width * words) as u64;
-        let count_bytes = 4 * (groups[0] * groups[1] * COUNTS) as u64;
-        let slot = self.slot(out_bytes, count_bytes);
-        let uniforms = Uniforms::new(job.parameters, rows.len());
+        let only_walls = variant.walls && lighting.is_none();
+        let pixel_bytes = if only_walls {
+            wall_bytes
+        } else {
+            4 * num_pixels
+        };
+        let slot = self.slot(SlotSize {
+            num_pixels,
+            wall_bytes,
+            is_lit: lighting.is_some(),
+            read_bytes: pixel_bytes + COUNT_BYTES + RESULT_BYTES + 4,
+        })?;
+        let field = lighting.and_then(|light| light.decoration);
+        let cells = match (field, resident.decoration) {
+            (None, _) => self.nothing.clone(),
+            (Some(field), Some(on_device)) => {
+                if on_device.owner != self.id || on_device.num_numbers != 4 * field.cells.len() {
+                    return refuse(
+                        "decoration on the device",
+                        format!(
+                            "the frame's {} numbers, on the same device",
+                            4 * field.cells.len()
+                        ),
+                        on_device.num_numbers.to_string(),
+                    );
+                }
+                on_device.cells.clone()
+            }
+            (Some(field), None) => {
+                self.filled("the decoration", bytemuck::cast_slice(field.cells))?
+            }
+        };
+        let light = match lighting {
+            None => None,
+            Some(light) => {
+                let slopes = self.slopes_of(&resident.volume.slopes, light)?;
+                Some((LightUniforms::new(light, slopes.num_bricks), slopes))
+            }
+        };
+        Ok(Picture {
+            frame,
+            resident,
+            variant,
+            all,
+            darken,
+            tables: Tables {
+                transfer: self.table_of(parameters)?,
+                directions: self.directions_of(frame.camera())?,
+                cells,
+            },
+            slot,
+            light,
+        })
+    }
+
+    pub(crate) fn encoder(&self) -> wgpu::CommandEncoder {
+        self.device
+            .create_command_encoder(&wgpu::CommandEncoderDescriptor::default())
+    }
+
+    /// Add a dispatch of a stage to a pass.
+    fn dispatch(
+        &self,
+        pass: &mut wgpu::ComputePass<'_>,
+        picture: &Picture<'_>,
+        stage: Stage,
+        [x, y]: [u32; 2],
+    ) {
+        let slopes = picture.light.as_ref().map(|(_, slopes)| &**slopes);
+        let (resident, tables) = (&picture.resident, &picture.tables);
+        pass.set_pipeline(&self.pipeline(stage, picture.variant));
+        let bindings = self.bound(stage, resident, tables, &picture.slot, slopes);
+        pass.set_bind_group(0, &bindings, &[]);
+        pass.dispatch_workgroups(x, y, 1);
+    }
+
+    /// Clear the buffers of a picture and compute its exposure.
+    fn start_picture(&self, picture: &Picture<'_>) -> Result<(), GpuError> {
+        let slot = &picture.slot;
+        let mut encoder = self.encoder();
+        // The pixels are cleared, because a pixel that no kernel writes must not show the previous picture.
+        encoder.clear_buffer(&slot.pixels, 0, None);
+        encoder.clear_buffer(&slot.counts, 0, None);
+        encoder.clear_buffer(&slot.state, 0, Some(RESULT_BYTES));
+        if let Some((light, slopes)) = &picture.light {
+            self.queue
+                .write_buffer(&slot.light, 0, bytemuck::bytes_of(light));
+            self.write_uniforms(picture, &picture.all, false);
+            slopes.empty_if_full(&mut encoder);
+            let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
+            self.dispatch(&mut pass, picture, Stage::Meter, [METER_GROUPS, 1]);
+            self.dispatch(&mut pass, picture, Stage::Expose, [1, 1]);
+        }
+        self.queue.submit([encoder.finish()]);
+        self.check_alive()
+    }
+
+    fn write_uniforms(&self, picture: &Picture<'_>, rows: &Range<usize>, counts_work: bool) {
+        let band = Band {
+            rows: rows.clone(),
+            all: picture.all.clone(),
+            counts_work,
+        };
+        let uniforms = Uniforms::new(picture.frame, &band, picture.darken);
         self.queue
-            .write_buffer(&slot.uniforms, 0, bytemuck::bytes_of(&uniforms));
-        let bindings = self.bindings(job, rows, &slot);
-        let mut encoder = self
-            .device
-            .create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
-        // The buffer is cleared, because a pixel that the kernel does not write must not show the previous picture.
-        encoder.clear_buffer(&slot.out, 0, Some(out_bytes));
+            .write_buffer(&picture.slot.uniforms, 0, bytemuck::bytes_of(&uniforms));
+    }
+
+    /// Cast and shade the rows of a band; no result is read back.
+    fn band(&self, picture: &Picture<'_>, band: &Band) {
+        self.write_uniforms(picture, &band.rows, band.counts_work);
+        let groups = groups_of(picture.frame, &band.rows);
+        let mut encoder = self.encoder();
+        encoder.clear_buffer(&picture.slot.walls, 0, None);
         {
             let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
-            pass.set_pipeline(&self.pipeline(job.variant));
-            pass.set_bind_group(0, &bindings, &[]);
-            pass.dispatch_workgroups(groups[0] as u32, groups[1] as u32, 1);
+            self.dispatch(&mut pass, picture, Stage::Cast, groups);
+            if picture.light.is_some() {
+                self.dispatch(&mut pass, picture, Stage::Request, groups);
+                self.dispatch(&mut pass, picture, Stage::Fill, [FILL_GROUPS, 1]);
+                self.dispatch(&mut pass, picture, Stage::Light, groups);
+            }
         }
-        let end = out_bytes + count_bytes;
-        encoder.copy_buffer_to_buffer(&slot.out, 0, &slot.staging, 0, out_bytes);
-        encoder.copy_buffer_to_buffer(&slot.counts, 0, &slot.staging, out_bytes, count_bytes);
-        let index = self.queue.submit([encoder.finish()]);
-        // The read-back is queued behind the kernel; another thread may submit its picture while this one waits.
-        let (sender, receiver) = std::sync::mpsc::channel();
-        slot.staging
-            .map_async(wgpu::MapMode::Read, 0..end, move |done| {
-                let _ = sender.send(done);
-            });
-        self.wait(index);
-        self.check_alive()?;
-        let lost = |reason: String| GpuError::Device {
-            name: self.facts.name.clone(),
-            reason,
-        };
-        // The first thread that detects the completion runs all callbacks; this may be the thread of another picture.
-        receiver
-            .recv_timeout(self.facts.kind.patience())
-            .map_err(|_| lost("the picture did not come back".to_owned()))?
-            .map_err(|e| lost(e.to_string()))?;
-        let num_missing = {
-            let bytes = slot.staging.get_mapped_range(0..end);
-            let bytes = bytes.map_err(|e| lost(e.to_string()))?;
-            let (out, counts) = bytes.split_at(out_bytes as usize);
-            add_counts(stats, counts, job.variant.shaded);
-            take(out)
-        };
-        slot.staging.unmap();
-        self.check_alive()?;
-        // The slot is returned only after success, because the slot of a failed picture may still be mapped or in use.
-        lock(&self.slots).push(slot);
-        Ok(num_missing)
+        self.queue.submit([encoder.finish()]);
     }
 
-    fn bindings(&self, job: Job<'_>, rows: &Range<usize>, slot: &Slot) -> wgpu::BindGroup {
-        let directions = self.directions_of(job.frame.camera(), rows);
-        let table = self.table_of(job.parameters);
-        let textures = [&job.volume.view, &job.map.unwrap_or(&self.no_map).view];
-        let buffers = [&table.buffer, &directions.buffer, &slot.out, &slot.counts];
-        let mut resources = vec![slot.uniforms.as_entire_binding()];
-        resources.extend(textures.map(wgpu::BindingResource::TextureView));
-        resources.extend(buffers.map(wgpu::Buffer::as_entire_binding));
-        let entries: Vec<_> = (0u32..)
-            .zip(resources)
-            .map(|(binding, resource)| wgpu::BindGroupEntry { binding, resource })
-            .collect();
-        self.device.create_bind_group(&wgpu::BindGroupDescriptor {
-            label: Some("airway"),
-            layout: &self.layout,
-            entries: &entries,
-        })
+    /// Smooth the silhouettes in the rows of a picture, in parts that a device finishes in time.
+    fn smooth(&self, picture: &Picture<'_>, rows: &Range<usize>, parameters: &FrameParameters<'_>) {
+        let Some((light, _)) = &picture.light else {
+            return;
+        };
+        self.write_uniforms(picture, rows, true);
+        let mut encoder = self.encoder();
+        {
+            let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
+            let groups = groups_of(picture.frame, rows);
+            self.dispatch(&mut pass, picture, Stage::Mark, groups);
+        }
+        self.queue.submit([encoder.finish()]);
+        let num_pixels = rows.len() * parameters.width;
+        // Each of the pixels gets two rays.
+        let most = ((BAND_SAMPLES / (2.0 * parameters.most_steps)) as usize).clamp(1, num_pixels);
+        for first in (0..num_pixels).step_by(most) {
+            let part = light.smoothing(first, most);
+            self.queue
+                .write_buffer(&picture.slot.light, 0, bytemuck::bytes_of(&part));
+            let mut encoder = self.encoder();
+            {
+                let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
+                let groups = most.div_ceil(SMOOTH_THREADS).min(SMOOTH_GROUPS);
+                self.dispatch(&mut pass, picture, Stage::Smooth, [groups as u32, 1]);
+            }
+            self.queue.submit([encoder.finish()]);
+        }
     }
 }
 
-/// Add the counters of all workgroups to the statistics.
-fn add_counts(stats: &mut CastStats, counts: &[u8], shaded: bool) {
-    for group in counts.as_chunks::<{ 4 * COUNTS }>().0 {
-        let [samples, lookups, leaps, skipped, lit] =
-            bytemuck::pod_read_unaligned::<[u32; COUNTS]>(group).map(u64::from);
-        stats.num_samples += samples;
-        stats.num_lookups += lookups;
-        stats.num_leaps += leaps;
-        stats.num_skipped += skipped;
-        stats.num_shaded += if shaded { lit } else { 0 };
-    }
+/// Return the number of workgroups across and down that cover rows of a picture.
+fn groups_of(frame: &Frame<'_>, rows: &Range<usize>) -> [u32; 2] {
+    [frame.camera().width(), rows.len()].map(|n| n.div_ceil(GROUP) as u32)
+}
+
+/// Return the number of rows that a device casts in one dispatch.
+fn rows_per_band(parameters: &FrameParameters<'_>) -> usize {
+    let by_samples = BAND_SAMPLES / (parameters.width as f64 * parameters.most_steps);
+    (BAND_PIXELS / parameters.width)
+        .min(by_samples as usize)
+        .max(1)
+}
+
+/// Return the error of an invalid setting.
+fn refuse<T>(what: &'static str, expected: String, found: String) -> Result<T, GpuError> {
+    Err(GpuError::Raycast(RaycastError::Setting {
+        what,
+        expected,
+        found,
+    }))
 }
 
 fn check(
     gpu: &Gpu,
     parameters: &FrameParameters<'_>,
-    volume: &GpuVolume,
-    map: Option<&GpuMap>,
+    resident: Resident<'_>,
     rows: &Range<usize>,
-    walls: bool,
 ) -> Result<(), GpuError> {
-    let refuse = |what: &'static str, expected: String, found: String| {
-        let setting = RaycastError::Setting {
-            what,
-            expected,
-            found,
-        };
-        Err(GpuError::Raycast(setting))
-    };
     if rows.start > rows.end || rows.end > parameters.height {
         return refuse(
             "rows",
@@ -314,9 +426,10 @@ fn check(
         );
     }
     let [ni, nj, nk] = parameters.shape_ijk;
-    let map = map.map(|map| ("radius map on the device", map.shape_zyx, map.owner));
-    let volume = ("volume on the device", volume.shape_zyx, volume.owner);
-    for (what, shape, owner) in [volume].into_iter().chain(map) {
+    let of_map = |map: &GpuMap| ("radius map on the device", map.shape_zyx, map.owner);
+    let of_volume = |volume: &GpuVolume| ("volume on the device", volume.shape_zyx, volume.owner);
+    let volume = of_volume(resident.volume);
+    for (what, shape, owner) in [volume].into_iter().chain(resident.map.map(of_map)) {
         if shape != [nk, nj, ni] || owner != gpu.id {
             return refuse(
                 what,
@@ -324,12 +437,6 @@ fn check(
                 format!("{} x {} x {}", shape[2], shape[1], shape[0]),
             );
         }
-    }
-    if parameters.options.appearance.is_some() && !walls {
-        return Err(GpuError::Unsupported {
-            reason: "light is laid on walls after casting: cast_walls, then light_gathered"
-                .to_owned(),
-        });
     }
     if parameters.most_steps > MAX_STEPS {
         return Err(GpuError::Unsupported {

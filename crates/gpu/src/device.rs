@@ -12,23 +12,15 @@ use crate::{
     AdapterFacts, GpuError, GpuMap,
     adapter::found,
     resources::{Directions, Slot, TableOnDevice},
+    shader,
+    stages::{Stage, StageLayout, Variant},
 };
+
+/// Largest number of bytes of a buffer that is requested from a device.
+const MAX_BUFFER: u64 = 1 << 30;
 
 /// Number of the next device that is opened.
 static NEXT: AtomicU64 = AtomicU64::new(1);
-
-/// Variant of the kernel, given by the override constants of `airway.wgsl`.
-#[allow(
-    clippy::struct_excessive_bools,
-    reason = "each is one override of the shader, and all combine"
-)]
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
-pub(crate) struct Variant {
-    pub(crate) shaded: bool,
-    pub(crate) nearest: bool,
-    pub(crate) leap: bool,
-    pub(crate) walls: bool,
-}
 
 /// Opened graphics device with the kernels of the airway view.
 ///
@@ -40,15 +32,17 @@ pub struct Gpu {
     pub(crate) queue: wgpu::Queue,
     /// Unique number of the device, which distinguishes its resources from those of other devices.
     pub(crate) id: u64,
-    pub(crate) layout: wgpu::BindGroupLayout,
+    /// Layouts of the stages, in the order of `stages.rs`.
+    pub(crate) layouts: Vec<StageLayout>,
     pub(crate) no_map: GpuMap,
+    /// Buffer that replaces resources which a picture does not use.
+    pub(crate) nothing: wgpu::Buffer,
     /// Buffers that no picture uses at present.
     pub(crate) slots: Mutex<Vec<Slot>>,
-    pub(crate) directions: Mutex<Vec<Arc<Directions>>>,
-    pub(crate) tables: Mutex<Vec<Arc<TableOnDevice>>>,
-    pipeline_layout: wgpu::PipelineLayout,
-    shader: wgpu::ShaderModule,
-    pipelines: Mutex<HashMap<Variant, wgpu::ComputePipeline>>,
+    pub(crate) directions: Mutex<Vec<Directions>>,
+    pub(crate) tables: Mutex<Vec<TableOnDevice>>,
+    pub(crate) shader: wgpu::ShaderModule,
+    pub(crate) pipelines: Mutex<HashMap<(Stage, Variant), wgpu::ComputePipeline>>,
     /// First error that the driver reported; `None` without an error.
     driver_error: Arc<Mutex<Option<String>>>,
 }
@@ -78,8 +72,12 @@ impl Gpu {
             name: facts.name.clone(),
             reason,
         };
+        let limits = adapter.limits();
         let wanted = wgpu::Limits {
-            max_texture_dimension_3d: adapter.limits().max_texture_dimension_3d,
+            max_texture_dimension_3d: limits.max_texture_dimension_3d,
+            // Full pictures of large screens behind a lens need more than the default of 128 MB.
+            max_storage_buffer_binding_size: limits.max_storage_buffer_binding_size.min(MAX_BUFFER),
+            max_buffer_size: limits.max_buffer_size.min(MAX_BUFFER),
             ..wgpu::Limits::default()
         };
         let (device, queue) = pollster::block_on(adapter.request_device(&wgpu::DeviceDescriptor {
@@ -100,16 +98,10 @@ impl Gpu {
         device.set_device_lost_callback(move |reason, message| {
             lock(&stored).get_or_insert_with(|| format!("lost ({reason:?}): {message}"));
         });
-        let layout = device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
+        let shader = device.create_shader_module(wgpu::ShaderModuleDescriptor {
             label: Some("airway"),
-            entries: &entries(),
+            source: wgpu::ShaderSource::Wgsl(shader::source().into()),
         });
-        let pipeline_layout = device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
-            label: Some("airway"),
-            bind_group_layouts: &[Some(&layout)],
-            immediate_size: 0,
-        });
-        let shader = device.create_shader_module(wgpu::include_wgsl!("airway.wgsl"));
         let id = NEXT.fetch_add(1, Ordering::Relaxed);
         let no_map = device.create_texture(&wgpu::TextureDescriptor {
             label: Some("no map"),
@@ -128,14 +120,19 @@ impl Gpu {
                 shape_zyx: [1; 3],
                 owner: id,
             },
+            layouts: StageLayout::all(&device),
+            nothing: device.create_buffer(&wgpu::BufferDescriptor {
+                label: Some("nothing"),
+                size: 64,
+                usage: wgpu::BufferUsages::STORAGE,
+                mapped_at_creation: false,
+            }),
             device,
             queue,
             id,
-            layout,
             slots: Mutex::default(),
             directions: Mutex::default(),
             tables: Mutex::default(),
-            pipeline_layout,
             shader,
             pipelines: Mutex::default(),
             driver_error,
@@ -192,68 +189,4 @@ impl Gpu {
             lock(&self.driver_error).get_or_insert_with(|| format!("no answer: {e}"));
         }
     }
-
-    /// Return the compute pipeline of a variant of the kernel, which is compiled on first use.
-    pub(crate) fn pipeline(&self, variant: Variant) -> wgpu::ComputePipeline {
-        let mut pipelines = lock(&self.pipelines);
-        let switches = [
-            ("SHADED", variant.shaded),
-            ("NEAREST", variant.nearest),
-            ("LEAP", variant.leap),
-            ("WALLS", variant.walls),
-        ]
-        .map(|(name, on)| (name, f64::from(u8::from(on))));
-        let paying_leap = carina_raycast::paying_leap(variant.nearest);
-        let mut constants = switches.to_vec();
-        constants.push(("PAYING_LEAP", f64::from(paying_leap)));
-        let make = || {
-            self.device
-                .create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
-                    label: Some("airway"),
-                    layout: Some(&self.pipeline_layout),
-                    module: &self.shader,
-                    entry_point: Some("cast_airway"),
-                    compilation_options: wgpu::PipelineCompilationOptions {
-                        constants: &constants,
-                        ..Default::default()
-                    },
-                    cache: None,
-                })
-        };
-        pipelines.entry(variant).or_insert_with(make).clone()
-    }
-}
-
-fn entries() -> [wgpu::BindGroupLayoutEntry; 7] {
-    let texture = |sample_type| wgpu::BindingType::Texture {
-        sample_type,
-        view_dimension: wgpu::TextureViewDimension::D3,
-        multisampled: false,
-    };
-    let buffer = |ty| wgpu::BindingType::Buffer {
-        ty,
-        has_dynamic_offset: false,
-        min_binding_size: None,
-    };
-    let read = buffer(wgpu::BufferBindingType::Storage { read_only: true });
-    let write = buffer(wgpu::BufferBindingType::Storage { read_only: false });
-    let mut binding = 0;
-    [
-        buffer(wgpu::BufferBindingType::Uniform),
-        texture(wgpu::TextureSampleType::Sint),
-        texture(wgpu::TextureSampleType::Uint),
-        read,
-        read,
-        write,
-        write,
-    ]
-    .map(|ty| {
-        binding += 1;
-        wgpu::BindGroupLayoutEntry {
-            binding: binding - 1,
-            visibility: wgpu::ShaderStages::COMPUTE,
-            ty,
-            count: None,
-        }
-    })
 }

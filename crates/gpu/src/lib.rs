@@ -10,15 +10,24 @@
 
 mod adapter;
 mod cast;
+mod decoration;
 mod device;
 mod error;
+mod light_uniforms;
+mod passes;
+mod picture;
 mod rays;
+mod read_back;
 mod resources;
+mod shader;
+mod slope_store;
+mod slopes;
 mod slot;
+mod stages;
 mod uniforms;
 mod volume;
 
 pub use adapter::{AdapterFacts, AdapterKind, adapters};
 pub use device::Gpu;
 pub use error::GpuError;
-pub use resources::{GpuMap, GpuVolume};
+pub use resources::{GpuDecoration, GpuMap, GpuVolume, Resident};

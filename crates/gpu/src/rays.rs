@@ -1,107 +1,124 @@
-//! Cached data on the device that change rarely between pictures: directions of rays and transfer tables.
+//! Cached data on the device that change rarely between pictures: directions behind a lens and transfer tables.
 
-use std::{ops::Range, sync::Arc};
+use std::sync::Arc;
 
-use carina_grid::Camera;
+use carina_grid::{Camera, FULL_GAIN, LensRays};
 use carina_raycast::FrameParameters;
+use rayon::prelude::*;
 
 use crate::{
-    Gpu,
+    Gpu, GpuError,
     device::lock,
-    resources::{Directions, DirectionsKey, TableOnDevice},
+    resources::{Directions, TableOnDevice},
 };
 
 /// Number of cached sets of ray directions, and of cached transfer tables.
 ///
 /// While a camera moves, the frame budget alternates between a few picture sizes and ray steps.
 const MAX_CACHED: usize = 6;
+/// Largest number of bytes of all cached directions; one picture may need more.
+const MAX_DIRECTION_BYTES: u64 = 192 << 20;
 
-/// Return the cached item of a key, or create and cache it; the least recently used item is removed if the cache is
-/// full.
-fn cached<T, K: PartialEq + ?Sized>(
-    all: &mut Vec<Arc<T>>,
-    key: &K,
-    key_of: impl Fn(&T) -> &K,
-    make: impl FnOnce() -> T,
-) -> Arc<T> {
-    let place = all.iter().position(|item| key_of(item) == key);
-    let item = place.map_or_else(|| Arc::new(make()), |n| all.remove(n));
-    all.insert(0, Arc::clone(&item));
-    all.truncate(MAX_CACHED);
-    item
-}
-
-/// Return the directions of the rays of `rows` in camera space; 0 for a pixel without a ray.
+/// Return the directions of the rays of a lens in camera space, with the gains of their pixels.
 ///
-/// Directions of a pinhole camera are computed in f64 and rounded once, those of a lens are copied.
-fn directions(camera: &Camera, rows: &Range<usize>) -> Vec<f32> {
-    let (width, z) = (camera.width(), camera.focal_px());
-    let (half_width, half_height) = (width as f64 / 2.0, camera.height() as f64 / 2.0);
-    let mut out = Vec::with_capacity(rows.len() * width * 3);
-    for row in rows.clone() {
-        for column in 0..width {
-            if let Some(rays) = camera.lens_rays() {
-                out.extend(rays.direction(column, row));
-                continue;
-            }
-            let (x, y) = (
-                (column as f64 + 0.5) - half_width,
-                (row as f64 + 0.5) - half_height,
-            );
-            let len = (x * x + y * y + z * z).sqrt();
-            out.extend([x / len, y / len, z / len].map(|v| v as f32));
-        }
-    }
-    out
+/// The direction of a pixel without a ray is 0.
+fn directions(lens: &LensRays) -> Vec<[f32; 4]> {
+    let width = lens.width();
+    let pixels = (0..width * lens.height()).into_par_iter();
+    pixels
+        .map(|n| {
+            let (column, row) = (n % width, n / width);
+            let [x, y, z] = lens.direction(column, row);
+            let gain = f32::from(lens.gain(column, row)) / f32::from(FULL_GAIN);
+            [x, y, z, gain]
+        })
+        .collect()
 }
 
 impl Gpu {
-    pub(crate) fn directions_of(&self, camera: &Camera, rows: &Range<usize>) -> Arc<Directions> {
-        let key = DirectionsKey {
-            lens: camera.shared_lens_rays().cloned(),
-            focal_px_bits: camera.focal_px().to_bits(),
-            width: camera.width(),
-            height: camera.height(),
-            rows: rows.clone(),
+    /// Return the directions behind the lens of a camera, in a buffer for the whole picture.
+    ///
+    /// One buffer serves all bands of a picture. The shader computes the directions of a pinhole camera.
+    pub(crate) fn directions_of(&self, camera: &Camera) -> Result<wgpu::Buffer, GpuError> {
+        let Some(lens) = camera.shared_lens_rays() else {
+            return Ok(self.nothing.clone());
         };
         let mut all = lock(&self.directions);
-        cached(
-            &mut all,
-            &key,
-            |item| &item.key,
-            || Directions {
-                buffer: self.filled(
-                    "directions",
-                    bytemuck::cast_slice(&directions(camera, rows)),
-                ),
-                key: key.clone(),
-            },
-        )
+        if let Some(n) = all.iter().position(|item| Arc::ptr_eq(&item.lens, lens)) {
+            let item = all.remove(n);
+            all.insert(0, item);
+        } else {
+            let buffer = self.filled(
+                "the rays of the lens",
+                bytemuck::cast_slice(&directions(lens)),
+            )?;
+            let lens = Arc::clone(lens);
+            all.insert(0, Directions { buffer, lens });
+            all.truncate(MAX_CACHED);
+            while all.len() > 1
+                && all.iter().map(|item| item.buffer.size()).sum::<u64>() > MAX_DIRECTION_BYTES
+            {
+                all.pop();
+            }
+        }
+        Ok(all[0].buffer.clone())
     }
 
-    pub(crate) fn table_of(&self, parameters: &FrameParameters<'_>) -> Arc<TableOnDevice> {
+    /// Return a transfer table on the device.
+    pub(crate) fn table_of(
+        &self,
+        parameters: &FrameParameters<'_>,
+    ) -> Result<wgpu::Buffer, GpuError> {
         let mut all = lock(&self.tables);
         let wanted = parameters.entries;
-        cached(
-            &mut all,
-            wanted,
-            |item| &item.entries,
-            || TableOnDevice {
-                buffer: self.filled("table", bytemuck::cast_slice(wanted)),
-                entries: wanted.to_vec(),
-            },
-        )
+        if let Some(n) = all.iter().position(|item| item.entries == wanted) {
+            let item = all.remove(n);
+            all.insert(0, item);
+        } else {
+            let buffer = self.filled("the transfer table", bytemuck::cast_slice(wanted))?;
+            let entries = wanted.to_vec();
+            all.insert(0, TableOnDevice { buffer, entries });
+            all.truncate(MAX_CACHED);
+        }
+        Ok(all[0].buffer.clone())
     }
 
-    /// Create a buffer on the device that contains `bytes` and that shaders can read.
-    fn filled(&self, label: &str, bytes: &[u8]) -> wgpu::Buffer {
-        let buffer = self.device.create_buffer(&wgpu::BufferDescriptor {
-            label: Some(label),
-            size: bytes.len() as u64,
-            usage: wgpu::BufferUsages::STORAGE | wgpu::BufferUsages::COPY_DST,
-            mapped_at_creation: false,
+    /// Create a buffer on the device that contains zeros and that shaders can read and write.
+    pub(crate) fn storage(
+        &self,
+        what: &'static str,
+        bytes: usize,
+    ) -> Result<wgpu::Buffer, GpuError> {
+        let most = self.device.limits().max_storage_buffer_binding_size;
+        if bytes as u64 > most {
+            return Err(GpuError::DoesNotFit {
+                what,
+                reason: format!("{bytes} bytes; a buffer has at most {most} here"),
+            });
+        }
+        let (buffer, refused) = self.watched(|| {
+            self.device.create_buffer(&wgpu::BufferDescriptor {
+                label: Some(what),
+                size: bytes.max(16) as u64,
+                usage: wgpu::BufferUsages::STORAGE
+                    | wgpu::BufferUsages::COPY_DST
+                    | wgpu::BufferUsages::COPY_SRC,
+                mapped_at_creation: false,
+            })
         });
+        refused.map_or(Ok(buffer), |reason| {
+            Err(GpuError::DoesNotFit { what, reason })
+        })
+    }
+
+    /// Create a buffer on the device that contains `bytes`.
+    pub(crate) fn filled(
+        &self,
+        what: &'static str,
+        bytes: &[u8],
+    ) -> Result<wgpu::Buffer, GpuError> {
+        let buffer = self.storage(what, bytes.len())?;
         self.queue.write_buffer(&buffer, 0, bytes);
-        buffer
+        Ok(buffer)
     }
 }

@@ -1,8 +1,10 @@
-//! Resources on the device: volumes and maps, buffers of pictures, directions of rays, transfer tables.
+//! Resources on the device: volumes, maps and decorations, directions of rays, transfer tables, buffers of pictures.
 
-use std::{ops::Range, sync::Arc};
+use std::sync::{Arc, Mutex};
 
 use carina_grid::LensRays;
+
+use crate::slope_store::SlopeStore;
 
 /// Volume of int16 values on the device.
 #[derive(Debug)]
@@ -10,6 +12,8 @@ pub struct GpuVolume {
     pub(crate) view: wgpu::TextureView,
     pub(crate) shape_zyx: [usize; 3],
     pub(crate) owner: u64,
+    /// Slopes at the voxels near walls, from earlier pictures.
+    pub(crate) slopes: Mutex<Option<Arc<SlopeStore>>>,
 }
 
 /// Radius map on the device.
@@ -20,47 +24,31 @@ pub struct GpuMap {
     pub(crate) owner: u64,
 }
 
-/// Buffers of one band of rows, which are reused for later bands.
+/// Anatomical data of airway walls on the device.
 #[derive(Debug)]
-pub(crate) struct Slot {
-    pub(crate) out_bytes: u64,
-    pub(crate) count_bytes: u64,
-    pub(crate) uniforms: wgpu::Buffer,
-    pub(crate) out: wgpu::Buffer,
-    pub(crate) counts: wgpu::Buffer,
-    /// Buffer through which the CPU reads pixels and counters.
-    pub(crate) staging: wgpu::Buffer,
+pub struct GpuDecoration {
+    pub(crate) cells: wgpu::Buffer,
+    pub(crate) num_numbers: usize,
+    pub(crate) owner: u64,
 }
 
-/// Unit directions of some rows of pixels in camera space, for one lens and one size of picture.
+/// Data of a scene on one device: volume, radius map for leaps, and anatomical data for the decoration.
+#[derive(Debug, Clone, Copy)]
+pub struct Resident<'a> {
+    /// Values of the frame's volume.
+    pub volume: &'a GpuVolume,
+    /// Radii of the transparent classes; without a map every sample is taken.
+    pub map: Option<&'a GpuMap>,
+    /// Anatomical data of the frame; without them, a decorated picture uploads them.
+    pub decoration: Option<&'a GpuDecoration>,
+}
+
+/// Unit directions and gains of the pixels behind a lens, in camera space.
 #[derive(Debug)]
 pub(crate) struct Directions {
     pub(crate) buffer: wgpu::Buffer,
-    pub(crate) key: DirectionsKey,
-}
-
-/// Key of cached directions: all parameters on which they depend. The pose is not one of them.
-#[derive(Debug, Clone)]
-pub(crate) struct DirectionsKey {
-    /// Rays of the lens, `None` for a pinhole; the reference prevents other rays from getting the same address.
-    pub(crate) lens: Option<Arc<LensRays>>,
-    pub(crate) focal_px_bits: u64,
-    pub(crate) width: usize,
-    pub(crate) height: usize,
-    pub(crate) rows: Range<usize>,
-}
-
-impl PartialEq for DirectionsKey {
-    fn eq(&self, other: &Self) -> bool {
-        let lens = match (&self.lens, &other.lens) {
-            (None, None) => true,
-            (Some(a), Some(b)) => Arc::ptr_eq(a, b),
-            _ => false,
-        };
-        lens && self.focal_px_bits == other.focal_px_bits
-            && (self.width, self.height) == (other.width, other.height)
-            && self.rows == other.rows
-    }
+    /// Rays of the lens; the reference prevents other rays from getting the same address.
+    pub(crate) lens: Arc<LensRays>,
 }
 
 /// Transfer table on the device.
@@ -68,4 +56,48 @@ impl PartialEq for DirectionsKey {
 pub(crate) struct TableOnDevice {
     pub(crate) buffer: wgpu::Buffer,
     pub(crate) entries: Vec<[f32; 4]>,
+}
+
+/// Number of bytes of the counters of a picture's work.
+pub(crate) const COUNT_BYTES: u64 = 40;
+/// Number of bytes of the results at the start of `State` that are read back.
+pub(crate) const RESULT_BYTES: u64 = 16;
+/// Number of bytes of `State` before the list of silhouettes.
+pub(crate) const STATE_BYTES: u64 = RESULT_BYTES + 4 * 144;
+
+/// Sizes of the buffers of a picture.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) struct SlotSize {
+    /// Number of pixels whose colours, depths and silhouettes are stored.
+    pub(crate) num_pixels: u64,
+    /// Number of bytes of the rays of a band.
+    pub(crate) wall_bytes: u64,
+    /// Whether walls are shaded on the device.
+    pub(crate) is_lit: bool,
+    /// Number of bytes that are read back.
+    pub(crate) read_bytes: u64,
+}
+
+impl SlotSize {
+    pub(crate) fn fits(&self, wanted: &Self) -> bool {
+        self.num_pixels >= wanted.num_pixels
+            && self.wall_bytes >= wanted.wall_bytes
+            && self.read_bytes >= wanted.read_bytes
+            && (self.is_lit || !wanted.is_lit)
+    }
+}
+
+/// Buffers of one picture, which are reused for later pictures.
+#[derive(Debug)]
+pub(crate) struct Slot {
+    pub(crate) size: SlotSize,
+    pub(crate) uniforms: wgpu::Buffer,
+    pub(crate) light: wgpu::Buffer,
+    pub(crate) walls: wgpu::Buffer,
+    pub(crate) counts: wgpu::Buffer,
+    pub(crate) pixels: wgpu::Buffer,
+    pub(crate) depths: wgpu::Buffer,
+    pub(crate) state: wgpu::Buffer,
+    /// Buffer through which the CPU reads the results.
+    pub(crate) staging: wgpu::Buffer,
 }

@@ -1,7 +1,9 @@
 //! Parameters that all rays of a picture share, in the memory layout of the shader.
 
+use std::ops::Range;
+
 use bytemuck::{Pod, Zeroable};
-use carina_raycast::FrameParameters;
+use carina_raycast::Frame;
 
 /// Parameters of a picture, equal field by field to the struct `Frame` of `airway.wgsl`.
 #[repr(C)]
@@ -27,11 +29,37 @@ pub(crate) struct Uniforms {
     step_mm: f32,
     guard_vox: f32,
     stop: f32,
+    focal_px: f32,
+    half_width: f32,
+    half_height: f32,
+    height: u32,
+    first_row: u32,
+    out_row: u32,
+    has_lens: u32,
+    darkens: u32,
+    counts_work: u32,
+    num_all_rows: u32,
+    first_of_all: u32,
+    unused: u32,
+}
+
+/// Rows of a picture that one dispatch processes.
+#[derive(Debug, Clone)]
+pub(crate) struct Band {
+    /// Rows of the picture.
+    pub(crate) rows: Range<usize>,
+    /// Rows for which the buffers of the picture have space.
+    pub(crate) all: Range<usize>,
+    /// Whether the work of the band is counted.
+    pub(crate) counts_work: bool,
 }
 
 impl Uniforms {
-    /// Return the parameters for `num_rows` rows of a frame.
-    pub(crate) fn new(parameters: &FrameParameters<'_>, num_rows: usize) -> Self {
+    /// Return the parameters for a band of a frame; `darken` applies the gains of the lens.
+    pub(crate) fn new(frame: &Frame<'_>, band: &Band, darken: bool) -> Self {
+        let parameters = &frame.parameters();
+        let camera = frame.camera();
+        let has_lens = camera.lens_rays().is_some();
         // Products are computed in f64 and rounded once; the shader then needs three products per direction.
         let step = |row: usize| -> [f32; 4] {
             let m = parameters.ijk_from_camera.rows()[row];
@@ -69,13 +97,25 @@ impl Uniforms {
                 ]
             }),
             width: parameters.width as u32,
-            num_rows: num_rows as u32,
+            num_rows: band.rows.len() as u32,
             shininess_log2: light.map_or(0, |light| light.shininess_log2),
             table_last: parameters.entries.len() as i32 - 1,
             table_low_hu: parameters.low_hu,
             step_mm: parameters.step_mm as f32,
             guard_vox: parameters.guard_vox,
             stop: parameters.stop,
+            focal_px: camera.focal_px() as f32,
+            half_width: parameters.width as f32 / 2.0,
+            half_height: parameters.height as f32 / 2.0,
+            height: parameters.height as u32,
+            first_row: band.rows.start as u32,
+            out_row: (band.rows.start - band.all.start) as u32,
+            has_lens: u32::from(has_lens),
+            darkens: u32::from(has_lens && darken),
+            counts_work: u32::from(band.counts_work),
+            num_all_rows: band.all.len() as u32,
+            first_of_all: band.all.start as u32,
+            unused: 0,
         }
     }
 }

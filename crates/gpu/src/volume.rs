@@ -1,5 +1,7 @@
 //! Upload of volumes and radius maps to the device.
 
+use std::sync::Mutex;
+
 use crate::{Gpu, GpuError, GpuMap, GpuVolume};
 
 /// Number of bytes that are passed to the driver at a time; the driver stores a copy of each part until its upload.
@@ -22,6 +24,7 @@ impl Gpu {
             view: self.upload("the volume", bytes, shape_zyx, 2, format)?,
             shape_zyx,
             owner: self.id,
+            slopes: Mutex::default(),
         })
     }
 

@@ -4,74 +4,22 @@
 //! error, never a wrong picture.
 #![cfg(feature = "wgpu")]
 
+mod devices;
 #[path = "../../raycast/tests/all/scene.rs"]
 mod scene;
 
-use std::{
-    ops::Range,
-    sync::{Arc, OnceLock},
-};
+use std::sync::Arc;
 
-use carina_gpu::{Gpu, GpuError, adapters};
+use carina_gpu::{Gpu, GpuError};
 use carina_grid::{Camera, FieldShape, ImageField, Lens, LensRays, Optics, VolumeView};
 use carina_isoregion::{cell_map, class_labels};
-use carina_raycast::{
-    Appearance, CastStats, Frame, FrameOptions, InstructionSet, Method, cast_rows, cast_surface,
-    light_gathered,
-};
+use carina_raycast::{CastStats, Frame, InstructionSet, Method, cast_rows, cast_surface};
+use devices::{gpus, on};
 use proptest::{
     strategy::{Strategy, ValueTree},
     test_runner::TestRunner,
 };
 use scene::{Scene, any_scene, options};
-
-/// Appearance of the test pictures.
-const LOOK: Appearance = Appearance {
-    guides_mm: [[-1.9, -0.5, 0.0], [1.9, -0.5, 0.3]],
-    exposure: None,
-    ambient: 0.2,
-    wrap: 0.25,
-    gloss: 0.5,
-    shininess_log2: 6,
-    paleness: 0.5,
-    pale_hu: [0.0, 300.0],
-    texture: 1.0,
-    vessels: 0.5,
-    silhouettes: true,
-    specks: 1.0,
-    secretions: 0.5,
-    fog: 0.0,
-    rings: 0.0,
-    membrane: 0.0,
-    hue: 0.0,
-    spurs: 0.0,
-};
-
-/// Return an opened device for every adapter of this machine.
-///
-/// `make test-gpu` sets `CARINA_GPU_REQUIRED`; a machine without an adapter then fails the tests.
-fn gpus() -> &'static [Gpu] {
-    /// Devices, opened on first use.
-    static GPUS: OnceLock<Vec<Gpu>> = OnceLock::new();
-    GPUS.get_or_init(|| {
-        let all: Vec<Gpu> = (0..adapters().len())
-            .map(|index| Gpu::open(index).expect("an adapter that is listed opens"))
-            .collect();
-        for gpu in &all {
-            println!("tested on {:?}", gpu.adapter());
-        }
-        if all.is_empty() {
-            assert!(
-                std::env::var_os("CARINA_GPU_REQUIRED").is_none(),
-                "no graphics adapter, not even a software one: install mesa-vulkan-drivers"
-            );
-            println!(
-                "SKIPPED: no graphics adapter (Debian: mesa-vulkan-drivers has one in software)"
-            );
-        }
-        all
-    })
-}
 
 fn radius(scene: &Scene, nearest: bool) -> Vec<u8> {
     let entries = scene.transfer(nearest).range(-1100, 3100);
@@ -108,7 +56,9 @@ fn cast(gpu: &Gpu, scene: &Scene, shaded: bool, nearest: bool, leaps: bool) -> P
     let map = leaps.then(|| gpu.upload_map(&radius, shape).unwrap());
     Pair {
         cpu: cast_rows(&frame, method, rows.clone(), InstructionSet::best()).unwrap(),
-        gpu: gpu.cast(&frame, &on_device, map.as_ref(), rows).unwrap(),
+        gpu: gpu
+            .cast(&frame, on(&on_device, map.as_ref()), rows, false)
+            .unwrap(),
     }
 }
 
@@ -185,7 +135,7 @@ fn assembled_strips_equal_the_whole_picture_bit_for_bit() {
             let volume = gpu
                 .upload_volume(&scene.hu, scene.grid.shape_zyx())
                 .unwrap();
-            let part = |rows| gpu.cast(frame, &volume, None, rows).unwrap();
+            let part = |rows| gpu.cast(frame, on(&volume, None), rows, false).unwrap();
             let (whole, stats) = part(0..47);
             let strips = [part(0..5), part(5..6), part(6..47)];
             assert!(whole == strips.each_ref().map(|(rgb, _)| rgb.clone()).concat());
@@ -237,7 +187,9 @@ fn first_walls_equal_those_of_the_cpu() {
                     .upload_volume(&scene.hu, scene.grid.shape_zyx())
                     .unwrap();
                 let rows = 0..scene.camera.height();
-                let (walls, _) = gpu.cast_walls(frame, &volume, None, rows.clone()).unwrap();
+                let (walls, _) = gpu
+                    .cast_walls(frame, on(&volume, None), rows.clone())
+                    .unwrap();
                 let (expected, _) =
                     cast_surface(frame, Method::Brute, rows, InstructionSet::best()).unwrap();
                 let step_mm = frame.parameters().step_mm as f32;
@@ -270,128 +222,15 @@ fn rays_stop_at_the_stop_limit_of_the_frame() {
                 .unwrap();
             let rows = 0..scene.camera.height();
             let early = frame.clone().stopping_at(0.25).unwrap();
-            let [all, some] = [frame, &early]
-                .map(|frame| gpu.cast(frame, &volume, None, rows.clone()).unwrap().1);
+            let [all, some] = [frame, &early].map(|frame| {
+                gpu.cast(frame, on(&volume, None), rows.clone(), false)
+                    .unwrap()
+                    .1
+            });
             assert!(some.num_samples < all.num_samples);
             let simd = InstructionSet::best();
             let (_, expected) = cast_rows(&early, Method::Brute, rows.clone(), simd).unwrap();
             assert!(some.num_samples.abs_diff(expected.num_samples) <= 10);
-        });
-    }
-}
-
-/// Call `look` with a frame whose first walls are shaded after casting.
-fn lit_frame_of<T>(scene: &Scene, look: impl FnOnce(&Frame<'_>) -> T) -> T {
-    let volume = VolumeView::new(&scene.hu, &scene.grid).unwrap();
-    let table = scene.table(false);
-    let lit = FrameOptions {
-        appearance: Some(LOOK),
-        ..options(false, false)
-    };
-    look(&Frame::new(volume, &table, scene.camera.clone(), lit).unwrap())
-}
-
-#[test]
-fn walls_shaded_after_casting_equal_those_of_the_cpu() {
-    let simd = InstructionSet::best();
-    for gpu in gpus() {
-        let mut runner = TestRunner::deterministic();
-        let (mut num_off, mut num_pixels, mut num_lit) = (0, 0, 0);
-        for n in 0..120 {
-            let scene = any_scene().new_tree(&mut runner).unwrap().current();
-            let shape = scene.grid.shape_zyx();
-            let radius = radius(&scene, false);
-            let volume = gpu.upload_volume(&scene.hu, shape).unwrap();
-            let (method, map) = if n % 2 == 0 {
-                let map = gpu.upload_map(&radius, shape).unwrap();
-                (Method::LeapTransparent(&radius), Some(map))
-            } else {
-                (Method::Brute, None)
-            };
-            let pair = lit_frame_of(&scene, |frame| {
-                let rows = 0..scene.camera.height();
-                let (walls, stats) = gpu
-                    .cast_walls_to_light(frame, &volume, map.as_ref(), &rows)
-                    .unwrap();
-                Pair {
-                    cpu: cast_rows(frame, method, rows.clone(), simd).unwrap(),
-                    gpu: light_gathered(frame, method, rows, simd, &walls, stats).unwrap(),
-                }
-            });
-            let (cpu, gpu) = (pair.cpu.1, pair.gpu.1);
-            assert_eq!(cpu.num_rays, gpu.num_rays);
-            for (a, b) in [
-                (cpu.num_samples, gpu.num_samples),
-                (cpu.num_skipped, gpu.num_skipped),
-                (cpu.num_shaded, gpu.num_shaded),
-                (cpu.num_loads, gpu.num_loads),
-            ] {
-                assert!(a.abs_diff(b) <= 60 + a / 100, "scene {n}: {cpu:?} {gpu:?}");
-            }
-            let differences = differences(&pair);
-            num_off += differences.iter().filter(|&&d| d > 1).count();
-            num_pixels += differences.len();
-            num_lit += pair.gpu.0.chunks(3).filter(|p| p[0] > 40).count();
-        }
-        println!("{num_off} of {num_pixels} pixels of lit walls off by more than a level");
-        assert!(
-            num_lit * 20 > num_pixels,
-            "dark pictures would agree with anything"
-        );
-        assert!(num_off * 1000 <= num_pixels);
-    }
-}
-
-#[test]
-fn strips_with_shaded_walls_have_the_exposure_of_the_whole_picture() {
-    for gpu in gpus() {
-        let mut scene = inside();
-        scene.resize(61, 47);
-        let volume = gpu
-            .upload_volume(&scene.hu, scene.grid.shape_zyx())
-            .unwrap();
-        lit_frame_of(&scene, |frame| {
-            let part = |rows: Range<usize>| {
-                let (walls, stats) = gpu
-                    .cast_walls_to_light(frame, &volume, None, &rows)
-                    .unwrap();
-                let simd = InstructionSet::best();
-                light_gathered(frame, Method::Brute, rows, simd, &walls, stats).unwrap()
-            };
-            let (whole, stats) = part(0..47);
-            assert!(whole.iter().any(|&v| v > 100));
-            let strips = [part(0..5), part(5..6), part(6..47)];
-            assert!(whole == strips.each_ref().map(|(rgb, _)| rgb.clone()).concat());
-            let num_loads: u64 = strips.iter().map(|(_, stats)| stats.num_loads).sum();
-            assert_eq!(num_loads, stats.num_loads);
-            assert!(part(9..9).0.is_empty());
-        });
-    }
-}
-
-#[test]
-fn casting_colours_of_a_frame_with_an_appearance_is_rejected() {
-    let simd = InstructionSet::best();
-    for gpu in gpus() {
-        let scene = inside();
-        let volume = gpu
-            .upload_volume(&scene.hu, scene.grid.shape_zyx())
-            .unwrap();
-        let (walls, stats) = lit_frame_of(&scene, |frame| {
-            let refused = gpu.cast(frame, &volume, None, 0..2).unwrap_err();
-            assert!(matches!(refused, GpuError::Unsupported { .. }), "{refused}");
-            let (walls, stats) = gpu
-                .cast_walls_to_light(frame, &volume, None, &(0..2))
-                .unwrap();
-            for rows in [0..1, 0..3, 0..9999] {
-                assert!(light_gathered(frame, Method::Brute, rows, simd, &walls, stats).is_err());
-            }
-            assert!(light_gathered(frame, Method::Brute, 0..2, simd, &walls, stats).is_ok());
-            (walls, stats)
-        });
-        frame_of(&scene, |frame| {
-            let refused = light_gathered(frame, Method::Brute, 0..2, simd, &walls, stats);
-            assert!(refused.unwrap_err().to_string().contains("appearance"));
         });
     }
 }
@@ -446,9 +285,14 @@ fn volumes_that_do_not_fit_and_maps_of_other_volumes_are_rejected() {
         let other = gpu.upload_volume(&scene.hu[1..2], [1, 1, 1]).unwrap();
         let map = gpu.upload_map(&[0], [1, 1, 1]).unwrap();
         frame_of(&scene, |frame| {
-            assert!(gpu.cast(frame, &other, None, 0..1).is_err());
-            assert!(gpu.cast(frame, &volume, Some(&map), 0..1).is_err());
-            let refused = gpu.cast(frame, &volume, None, 0..999).unwrap_err();
+            assert!(gpu.cast(frame, on(&other, None), 0..1, false).is_err());
+            assert!(
+                gpu.cast(frame, on(&volume, Some(&map)), 0..1, false)
+                    .is_err()
+            );
+            let refused = gpu
+                .cast(frame, on(&volume, None), 0..999, false)
+                .unwrap_err();
             assert_eq!(refused.code(), "render.setting");
         });
     }
@@ -465,10 +309,10 @@ fn a_lost_device_gives_errors_and_no_pictures() {
             .upload_volume(&scene.hu, scene.grid.shape_zyx())
             .unwrap();
         frame_of(&scene, |frame| {
-            assert!(gpu.cast(frame, &volume, None, 0..4).is_ok());
+            assert!(gpu.cast(frame, on(&volume, None), 0..4, false).is_ok());
             gpu.lose();
             for _ in 0..2 {
-                let refused = gpu.cast(frame, &volume, None, 0..4).unwrap_err();
+                let refused = gpu.cast(frame, on(&volume, None), 0..4, false).unwrap_err();
                 assert!(matches!(refused, GpuError::Device { .. }), "{refused}");
             }
         });

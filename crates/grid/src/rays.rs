@@ -240,6 +240,13 @@ impl LensRays {
         [self.dirs[0][n], self.dirs[1][n], self.dirs[2][n]]
     }
 
+    /// Return the gain of a pixel, up to [`FULL_GAIN`].
+    #[must_use]
+    pub fn gain(&self, column: usize, row: usize) -> u16 {
+        let gains = self.gains.as_ref();
+        gains.map_or(FULL_GAIN, |gains| gains[row * self.width() + column])
+    }
+
     /// Return the directions of a row's pixels, one array for each axis.
     #[must_use]
     pub fn directions_of(&self, row: usize) -> [&[f32]; 3] {

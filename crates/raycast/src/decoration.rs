@@ -70,4 +70,10 @@ impl<'a> Decoration<'a> {
             cells_per_mm: 1.0 / cell_mm,
         })
     }
+
+    /// Return the values of the cells, two items of four numbers per cell, x fastest.
+    #[must_use]
+    pub const fn cells(&self) -> &'a [[f32; 4]] {
+        self.cells
+    }
 }

@@ -1,11 +1,16 @@
 //! Exposure of a picture: the exposure that its appearance gives, or one computed from the walls in the picture.
 
-use crate::{Frame, Method, lighting::Lighting, packet::brightness, surface};
+use crate::{
+    Frame, Method, lighting::Lighting, packet::brightness, shared_constants::shared_constants,
+    surface,
+};
 
-/// Number of rays along each side of the grid of rays with which the exposure is measured.
-const METERED: usize = 12;
-/// Linear light, before the tone curve, to which the bright parts of an automatically exposed picture are set.
-const EXPOSED_TO: f64 = 1.1;
+shared_constants! {
+    /// Number of rays along each side of the grid of rays with which the exposure is measured.
+    const METERED: usize = 12;
+    /// Linear light, before the tone curve, to which the bright parts of an automatically exposed picture are set.
+    const EXPOSED_TO: f64 = 1.1;
+}
 
 impl Lighting {
     /// Return the lighting of a frame, with its exposure; `None` if the frame's options have no appearance.

@@ -28,6 +28,14 @@ pub(crate) struct Lighting {
 impl Lighting {
     /// Return the lighting of a frame, without its exposure; `None` if the frame's options have no appearance.
     pub(crate) fn of(frame: &Frame<'_>) -> Option<Self> {
+        frame.options.appearance?;
+        let bricks = frame.bricks.clone();
+        let bricks = bricks.unwrap_or_else(|| Arc::new(NormalBricks::of(frame)));
+        Self::reading(frame, bricks)
+    }
+
+    /// Return the lighting of a frame that reads wall normals from `bricks`, without its exposure.
+    pub(crate) fn reading(frame: &Frame<'_>, bricks: Arc<NormalBricks>) -> Option<Self> {
         let look = frame.options.appearance?;
         let camera = frame.camera();
         let rows = |m: &carina_grid::Affine| {
@@ -37,10 +45,7 @@ impl Lighting {
         Some(Self {
             look,
             normals: Normals::of(frame),
-            bricks: frame
-                .bricks
-                .clone()
-                .unwrap_or_else(|| Arc::new(NormalBricks::of(frame))),
+            bricks,
             origin_ijk: frame.origin3(),
             camera_lps: camera.origin_lps().map(|v| v as f32),
             step_mm: frame.step_mm,

@@ -119,7 +119,12 @@ impl CastStats {
 
     /// Return the statistics with the shading of the first walls `walls` added.
     pub(crate) fn lit(self, walls: &[Gathered]) -> Self {
-        let num_lit = walls.iter().filter(|wall| wall.hit >= 0.0).count() as u64;
+        self.with_lit_walls(walls.iter().filter(|wall| wall.hit >= 0.0).count() as u64)
+    }
+
+    /// Return the statistics with the shading of `num_lit` first walls added.
+    #[must_use]
+    pub fn with_lit_walls(self, num_lit: u64) -> Self {
         Self {
             num_shaded: num_lit,
             num_loads: self.num_loads + Self::LIGHTING_LOADS * num_lit,

@@ -35,13 +35,8 @@ pub fn rows_to_gather(frame: &Frame<'_>, rows: &Range<usize>) -> Range<usize> {
     }
 }
 
-/// Source of the first walls of the rows that are shaded.
-pub(crate) enum Walls<'a> {
-    /// Rays of all rows, gathered by another caster.
-    Gathered(&'a [Gathered]),
-    /// Function that casts rows, starting with the given row, into a buffer and returns its statistics.
-    Cast(&'a (dyn Fn(usize, &mut [Gathered]) -> CastStats + Sync)),
-}
+/// Function that casts rows, starting with the given row, into a buffer and returns its statistics.
+type CastWalls<'a> = &'a (dyn Fn(usize, &mut [Gathered]) -> CastStats + Sync);
 
 /// Cast and shade rows, in packets or with the scalar casters.
 ///
@@ -74,27 +69,19 @@ pub(crate) fn cast_shaded(
     let beside = [beside(all.start..rows.start), beside(rows.end..all.end)];
     let cast = |first: usize, out: &mut [Gathered]| cast(first, out).with_loads(frame, method);
     let how = (packets.is_some(), simd);
-    light_walls(
-        frame,
-        method,
-        light,
-        how,
-        (rows, &Walls::Cast(&cast)),
-        &beside,
-        stop,
-    )
+    light_walls(frame, method, light, how, (rows, &cast), &beside, stop)
 }
 
 /// Shade the first walls of rows, a few rows at a time, and smooth silhouettes if the appearance requires it.
 ///
 /// `beside` has the depths of the row before and of the row after, empty at the picture's edge. After `stop` is set,
 /// the remaining rows stay black. `num_shaded` counts only this shading.
-pub(crate) fn light_walls(
+fn light_walls(
     frame: &Frame<'_>,
     method: Method<'_>,
     light: &Lighting,
     (in_packets, simd): (bool, InstructionSet),
-    (rows, walls): (&Range<usize>, &Walls<'_>),
+    (rows, cast): (&Range<usize>, CastWalls<'_>),
     beside: &[Vec<f32>; 2],
     stop: Option<&AtomicBool>,
 ) -> (Vec<u8>, CastStats) {
@@ -112,21 +99,14 @@ pub(crate) fn light_walls(
                 return Default::default();
             }
             let first = rows.start + n * BAND_ROWS;
-            let at = n * BAND_ROWS * width;
-            let (walls, stats) = match walls {
-                Walls::Gathered(all) => (&all[at..at + depths.len()], CastStats::default()),
-                Walls::Cast(cast) => {
-                    buffer.clear();
-                    buffer.resize(depths.len(), Gathered::NOTHING);
-                    let stats = cast(first, buffer);
-                    (&buffer[..], stats)
-                }
-            };
-            light_rows(frame, light, simd, first, walls, rgb);
-            for (depth, wall) in depths.iter_mut().zip(walls) {
+            buffer.clear();
+            buffer.resize(depths.len(), Gathered::NOTHING);
+            let stats = cast(first, buffer);
+            light_rows(frame, light, simd, first, buffer, rgb);
+            for (depth, wall) in depths.iter_mut().zip(&*buffer) {
                 *depth = wall.hit;
             }
-            (stats, CastStats::default().lit(walls))
+            (stats, CastStats::default().lit(buffer))
         })
         .reduce(Default::default, |(a, b), (c, d)| (a.plus(c), b.plus(d)));
     let mut lit = lit;

@@ -18,26 +18,29 @@ use crate::{
     composite::Gathered,
     lighting::Lighting,
     packet::{Packets, light_rows},
+    shared_constants::shared_constants,
     surface::cast_walls_row,
 };
 
-/// Offsets of the two rays of a silhouette pixel from the pixel's centre, in pixels.
-///
-/// The rays are a fraction of a pixel apart along both axes and along neither diagonal, so that edges of most
-/// directions get an intermediate level.
-const BESIDE: [[f64; 2]; 2] = [[-0.2, -0.36], [0.2, 0.36]];
-/// Largest second difference of the inverse depth from pixel to pixel in a wall without silhouette.
-///
-/// The limit is a fraction of the nearest pixel's inverse depth. The inverse depth of a plane is linear at any
-/// inclination; a deviation of 1/8 changes the brightness of a wall by about as much as a visible step.
-const BEND: f32 = 0.125;
-/// Linear light of a wall at normal incidence below which a staircase at its edge is not visible.
-const FAINT: f32 = 0.02;
+shared_constants! {
+    /// Offsets of the two rays of a silhouette pixel from the pixel's centre, in pixels.
+    ///
+    /// The rays are a fraction of a pixel apart along both axes and along neither diagonal, so that edges of most
+    /// directions get an intermediate level.
+    const BESIDE: [[f64; 2]; 2] = [[-0.2, -0.36], [0.2, 0.36]];
+    /// Largest second difference of the inverse depth from pixel to pixel in a wall without silhouette.
+    ///
+    /// The limit is a fraction of the nearest pixel's inverse depth. The inverse depth of a plane is linear at any
+    /// inclination; a deviation of 1/8 changes the brightness of a wall by about as much as a visible step.
+    const BEND: f32 = 0.125;
+    /// Linear light of a wall at normal incidence below which a staircase at its edge is not visible.
+    const FAINT: f32 = 0.02;
 
-/// Smallest wrap lighting of a wall at a silhouette.
-///
-/// The edge of thin, wet mucosa is not the dark line that matt stone shows where it turns away.
-const EDGE_WRAP: f32 = 0.6;
+    /// Smallest wrap lighting of a wall at a silhouette.
+    ///
+    /// The edge of thin, wet mucosa is not the dark line that matt stone shows where it turns away.
+    const EDGE_WRAP: f32 = 0.6;
+}
 
 /// Number of rows in which silhouettes are searched together.
 const ROWS_AT_A_TIME: usize = 16;

@@ -27,6 +27,10 @@ PICTURES_WITHOUT_MAP = 30
 NUM_PAIRS = 5
 # Largest ratio of GPU time to CPU time for which the GPU is chosen: it also costs memory and a copy of every new wall.
 WORTH_IT = 0.9
+# Largest ratio of a device's time per pixel to the CPU's measured time per pixel, and number of consecutive slower
+# pictures after which the device is given up: another program may use the device, or the driver may have slowed it.
+MAX_SLOWNESS = 3.0
+SLOW_PICTURES = 10
 # Error code of a limit of this volume or view, not of the device: another volume may fit.
 LIMIT = "render.gpu-limit"
 FAILED = "render.gpu"
@@ -92,6 +96,9 @@ class DeviceCaster:
         # In auto, three states: not measured; measured without a choice (adapter None); measured, with an adapter.
         self._is_decided = backend.mode != "auto"
         self._adapter: Adapter | None = None
+        # Time of a pixel on the CPU in the view with which the adapter was measured, in seconds.
+        self._cpu_s_per_pixel: float | None = None
+        self._num_slow = 0
 
     def try_cast(self, scene: Scene, view: AirwayView, *, leaps: bool, cast: Cast) -> Picture | None:
         """Return the picture from the device, or None if the CPU must render it.
@@ -101,13 +108,28 @@ class DeviceCaster:
         on_device = self._find_device_scene(scene, leaps=leaps)
         if on_device is None:
             return None
+        started = self._clock()
         try:
-            return cast(scene, view, on_device)
+            picture = cast(scene, view, on_device)
         except RenderError as error:
             if error.code not in {LIMIT, FAILED}:
                 raise
             self._stop_after_error(scene, error)
             return None
+        self._count_device_picture(scene, picture, self._clock() - started)
+        return picture
+
+    def _count_device_picture(self, scene: Scene, picture: Picture, seconds: float) -> None:
+        """Stop using a device that was chosen for its speed if it has become much slower than the CPU was."""
+        num_pixels = picture.rgb.shape[0] * picture.rgb.shape[1]
+        if self._backend.mode != "auto" or self._cpu_s_per_pixel is None or num_pixels < MIN_PIXELS:
+            return
+        is_slow = seconds > MAX_SLOWNESS * self._cpu_s_per_pixel * num_pixels
+        self._num_slow = self._num_slow + 1 if is_slow else 0
+        if self._num_slow >= SLOW_PICTURES:
+            self._num_slow = 0
+            words = f"the graphics device has become slow: {1e3 * seconds:.0f} ms per image"
+            self._stop_after_error(scene, RenderError(words, code=FAILED))
 
     def count_cpu_picture(self, scene: Scene, view: AirwayView) -> None:
         """Count a whole picture that the CPU has rendered.
@@ -211,7 +233,9 @@ class DeviceCaster:
         known = self._backend.measurement(adapter, scene.values.shape)
         if known is not None and not known.chosen:
             return True
+        started = self._clock()
         expected = self._cast(scene, view, None)
+        cpu_s_per_pixel = (self._clock() - started) / (view.width * view.height)
         if int(expected.rgb.max(initial=0)) < MIN_LIGHT:
             return False
         leaps = expected.stats.method == "leap" and scene.maps is not None
@@ -238,7 +262,7 @@ class DeviceCaster:
         )
         log.info("graphics adapter %s: %s", adapter.name, why)
         if chosen:
-            self._adapter = adapter
+            self._adapter, self._cpu_s_per_pixel = adapter, cpu_s_per_pixel
         else:
             self._resident = None
         return not chosen

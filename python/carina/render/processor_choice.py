@@ -25,7 +25,7 @@ log = logging.getLogger(__name__)
 # File name of the record of measurements in the cache folder.
 RECORD_NAME = "backend.json"
 FORMAT = "carina-backend"
-VERSION = 1
+VERSION = 2
 # Largest fraction of pixels that may differ by more than one grey level from the CPU's picture.
 MAX_PART_OFF = 1e-3
 

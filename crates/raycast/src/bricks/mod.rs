@@ -11,7 +11,14 @@ mod slopes;
 mod slopes_tests;
 mod store;
 
+use crate::shared_constants::SharedConstant;
 pub use samples::SampleBricks;
 pub use slopes::NormalBricks;
 pub(crate) use slopes::{AXIS_AT, AXIS_WEIGHT, CORNER_AT, CORNER_WEIGHT};
+
+/// Return names and values of the constants of bricks that shaders need too.
+pub(crate) fn shared() -> Vec<SharedConstant> {
+    [slopes::shared(), store::shared()].concat()
+}
+
 pub(crate) use store::{CELLS, Fill, MAX_BRICKS, PER_BRICK, STRIDE};

@@ -8,19 +8,21 @@
 use std::cell::RefCell;
 
 use super::store::{CELLS, Fill, Numbers, PER_BRICK, PER_VOXEL, STRIDE, Store, VOXELS};
-use crate::Field;
+use crate::{Field, shared_constants::shared_constants};
 
-/// Distance from the voxel of the six samples on the axes, in units of the reach.
-///
-/// A slope uses these six samples and eight samples at the corners of a box. The numbers were chosen by trial: on a
-/// plane edge blurred by 0.7 voxels the mean error of the normal is 0.2 degrees.
-pub(crate) const AXIS_AT: f32 = 1.2;
-/// Weight of the differences between the samples on the axes.
-pub(crate) const AXIS_WEIGHT: f32 = 0.96;
-/// Distance of the corner samples from the voxel along each axis, in units of the reach.
-pub(crate) const CORNER_AT: f32 = 0.7;
-/// Weight of the differences between the corner samples.
-pub(crate) const CORNER_WEIGHT: f32 = 0.7;
+shared_constants! {
+    /// Distance from the voxel of the six samples on the axes, in units of the reach.
+    ///
+    /// A slope uses these six samples and eight samples at the corners of a box. The numbers were chosen by trial: on a
+    /// plane edge blurred by 0.7 voxels the mean error of the normal is 0.2 degrees.
+    pub(crate) const AXIS_AT: f32 = 1.2;
+    /// Weight of the differences between the samples on the axes.
+    pub(crate) const AXIS_WEIGHT: f32 = 0.96;
+    /// Distance of the corner samples from the voxel along each axis, in units of the reach.
+    pub(crate) const CORNER_AT: f32 = 0.7;
+    /// Weight of the differences between the corner samples.
+    pub(crate) const CORNER_WEIGHT: f32 = 0.7;
+}
 
 /// Cached bricks of the slopes of one volume, for one set of parameters of the normals.
 #[derive(Debug)]
@@ -118,6 +120,11 @@ impl NormalBricks {
     #[must_use]
     pub fn is_full(&self) -> bool {
         self.store.is_full()
+    }
+
+    /// Return the factor from slopes to stored numbers.
+    pub(crate) fn scale(&self) -> f32 {
+        self.scale
     }
 
     /// Return the factor from stored numbers to slopes.

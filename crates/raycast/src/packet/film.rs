@@ -9,32 +9,52 @@ use super::{
     texture::{ASKEW, WRINKLES_PER_MM, noise},
     vectors::{along, dot, scaled, smooth, turn, unit},
 };
-use crate::appearance::Appearance;
+use crate::{appearance::Appearance, shared_constants::shared_constants};
 
-/// Number of noise cells per mm of the pools of secretions.
-const POOLS_PER_MM: f32 = 0.2;
-/// Number of noise cells per mm of the bubbles in secretions.
-const BUBBLES_PER_MM: f32 = 1.5;
-/// Logarithm to base 2 of the exponent of the highlight on a droplet.
-///
-/// A droplet is rounder than the film, so its highlight has a visible size.
-const DROP_LOG2: u32 = 5;
-/// Strength of the highlight of a droplet, as a fraction of the light that a guide gives at normal incidence.
-const DROP_GLINT: f32 = 1.2;
-/// Decrease of the height that a bump of the relief needs to carry a droplet, per unit of film thickness.
-///
-/// Droplets thus form groups with dry wall between them.
-const GATHER: f32 = 1.0;
-/// Strength of the highlight of a bubble, as a fraction of the light that a guide gives at normal incidence.
-const BUBBLE_GLINT: f32 = 2.4;
-/// Slope of a droplet's side.
-///
-/// Along an airway only a steep side faces the scope; therefore a smooth film has no highlight there.
-const DROP_SLOPE: f32 = 1.4;
-/// Display colour of secretions, pale and slightly yellow.
-const SECRETIONS_RGB: [f32; 3] = [0.90, 0.84, 0.66];
-/// Opacity of a pool of secretions over the mucosa beneath it, 0 to 1.
-const COVER: f32 = 0.55;
+shared_constants! {
+    /// Number of noise cells per mm of the pools of secretions.
+    const POOLS_PER_MM: f32 = 0.2;
+    /// Number of noise cells per mm of the bubbles in secretions.
+    const BUBBLES_PER_MM: f32 = 1.5;
+    /// Logarithm to base 2 of the exponent of the highlight on a droplet.
+    ///
+    /// A droplet is rounder than the film, so its highlight has a visible size.
+    const DROP_LOG2: u32 = 5;
+    /// Strength of the highlight of a droplet, as a fraction of the light that a guide gives at normal incidence.
+    const DROP_GLINT: f32 = 1.2;
+    /// Decrease of the height that a bump of the relief needs to carry a droplet, per unit of film thickness.
+    ///
+    /// Droplets thus form groups with dry wall between them.
+    const GATHER: f32 = 1.0;
+    /// Strength of the highlight of a bubble, as a fraction of the light that a guide gives at normal incidence.
+    const BUBBLE_GLINT: f32 = 2.4;
+    /// Slope of a droplet's side.
+    ///
+    /// Along an airway only a steep side faces the scope; therefore a smooth film has no highlight there.
+    const DROP_SLOPE: f32 = 1.4;
+    /// Display colour of secretions, pale and slightly yellow.
+    const SECRETIONS_RGB: [f32; 3] = [0.90, 0.84, 0.66];
+    /// Opacity of a pool of secretions over the mucosa beneath it, 0 to 1.
+    const COVER: f32 = 0.55;
+    /// Slope of the coverage of a bump by its droplet.
+    const DROP_EDGE: f32 = 3.0;
+    /// Height that a bump needs to carry a droplet on a wall without film.
+    const DROP_FROM: f32 = 0.3 + 0.75 * GATHER;
+    /// Height that a bump needs to carry a bubble.
+    const BUBBLE_FROM: f32 = 0.25;
+    /// Slope and offset of the visibility of droplets and bubbles, from the size of a pixel in cells.
+    const FADES: [f32; 2] = [-5.0, 1.5];
+    /// Slope and offset of the presence of pools, from the normal's component to the back.
+    const FLOOR: [f32; 2] = [-2.5, -0.6];
+    /// Slope and offset of the level of the pools, from the strength of the secretions.
+    const POOL_LEVEL: [f32; 2] = [1.2, -0.8];
+    /// Slope of the edge of a pool.
+    const POOL_EDGE: f32 = 5.0;
+    /// Strength with which the surface of a pool is turned to horizontal, 0 to 1.
+    const POOL_FLAT: f32 = 0.7;
+    /// Seeds of the noises of pools and bubbles.
+    const WET_SEEDS: [i32; 2] = [61, 67];
+}
 
 /// Wet surface at points of the wall.
 #[derive(Clone, Copy)]
@@ -60,7 +80,7 @@ fn bump<L: Lanes>(
     let s = |v: f32| l.splat(v);
     let back = from_fn::<_, 3, _>(|x| from_fn(|a| ASKEW[a][x]));
     let tilted = along(l, n, s(-DROP_SLOPE), turn(l, &back, slope));
-    let above = smooth(l, l.mul(l.sub(height, from), s(3.0)));
+    let above = smooth(l, l.mul(l.sub(height, from), s(DROP_EDGE)));
     (above, unit(l, tilted).0)
 }
 
@@ -71,7 +91,7 @@ fn bump<L: Lanes>(
 #[inline(always)]
 fn fades<L: Lanes>(l: L, footprint_mm: L::F, per_mm: f32) -> L::F {
     let cells = l.mul(footprint_mm, l.splat(per_mm));
-    smooth(l, l.fma(cells, l.splat(-5.0), l.splat(1.5)))
+    smooth(l, l.fma(cells, l.splat(FADES[0]), l.splat(FADES[1])))
 }
 
 /// Compute the wet surface at patient points `lps` with normals `n` on the scope's side.
@@ -98,19 +118,22 @@ pub(super) fn film<L: Lanes>(
     };
     let near = fades(l, footprint_mm, WRINKLES_PER_MM);
     if look.specks > 0.0 && l.bits(l.less(s(0.0), near)) != 0 {
-        let from = l.fma(thick, s(-GATHER), s(0.3 + 0.75 * GATHER));
+        let from = l.fma(thick, s(-GATHER), s(DROP_FROM));
         let (above, drop) = bump(l, bumps, from, n);
         film.drop = drop;
         film.glint = l.mul(l.mul(above, near), s(DROP_GLINT * look.specks));
     }
     if look.secretions > 0.0 {
         // The lowest wall in a supine patient is the one whose normal points to the front, LPS -y.
-        let floor = smooth(l, l.fma(n[1], s(-2.5), s(-0.6)));
-        let (level, _) = noise(l, scaled(l, s(POOLS_PER_MM), q), 61);
-        let filled = l.add(level, s(look.secretions.mul_add(1.2, -0.8)));
-        film.pool = l.mul(floor, smooth(l, l.mul(filled, s(5.0))));
-        let bubbles = noise(l, scaled(l, s(BUBBLES_PER_MM), q), 67);
-        let (above, bubble) = bump(l, bubbles, s(0.25), n);
+        let floor = smooth(l, l.fma(n[1], s(FLOOR[0]), s(FLOOR[1])));
+        let (level, _) = noise(l, scaled(l, s(POOLS_PER_MM), q), WET_SEEDS[0]);
+        let filled = l.add(
+            level,
+            s(look.secretions.mul_add(POOL_LEVEL[0], POOL_LEVEL[1])),
+        );
+        film.pool = l.mul(floor, smooth(l, l.mul(filled, s(POOL_EDGE))));
+        let bubbles = noise(l, scaled(l, s(BUBBLES_PER_MM), q), WET_SEEDS[1]);
+        let (above, bubble) = bump(l, bubbles, s(BUBBLE_FROM), n);
         let here = l.mul(
             l.mul(above, fades(l, footprint_mm, BUBBLES_PER_MM)),
             film.pool,
@@ -140,7 +163,7 @@ impl<L: Lanes> Film<L> {
         let mut mixed = *n_film;
         for a in 0..3 {
             mixed[a] = l.fma(
-                l.mul(self.pool, s(0.7)),
+                l.mul(self.pool, s(POOL_FLAT)),
                 l.sub(level[a], n_film[a]),
                 n_film[a],
             );

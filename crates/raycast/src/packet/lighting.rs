@@ -16,20 +16,31 @@ use super::{
     vectors::{along, dot, scaled, smooth, splat, turn, unit},
     voxels::Voxels,
 };
-use crate::{Decoration, Field, Frame, InstructionSet, composite::Gathered, lighting::Lighting};
+use crate::{
+    Decoration, Field, Frame, InstructionSet, composite::Gathered, lighting::Lighting,
+    shared_constants::shared_constants,
+};
 
-/// Squared radius of the end of a light guide, mm2, which limits the inverse square for a wall that touches the guide.
-const GUIDE_MM2: f32 = 2.5;
-/// Depth beneath the wall's surface at which the tissue is sampled, mm; the cartilage of an airway is at this depth.
-const BENEATH_MM: f32 = 1.4;
-/// Display colour of mucosa over cartilage.
-const PALE_RGB: [f32; 3] = [0.98, 0.79, 0.72];
-/// Linear colour of light that another wall has reflected.
-const TINT_RGB: [f32; 3] = [1.0, 0.42, 0.32];
-/// Linear light that is displayed as white.
-const WHITE: f32 = 3.6;
-/// Strength of the darkening of dark tones, 0 to 1.
-const TOE: f32 = 0.65;
+shared_constants! {
+    /// Squared radius of the end of a light guide, mm2, which limits the inverse square for a wall that touches the guide.
+    const GUIDE_MM2: f32 = 2.5;
+    /// Depth beneath the wall's surface at which the tissue is sampled, mm; the cartilage of an airway is at this depth.
+    const BENEATH_MM: f32 = 1.4;
+    /// Display colour of mucosa over cartilage.
+    const PALE_RGB: [f32; 3] = [0.98, 0.79, 0.72];
+    /// Linear colour of light that another wall has reflected.
+    const TINT_RGB: [f32; 3] = [1.0, 0.42, 0.32];
+    /// Linear light that is displayed as white.
+    const WHITE: f32 = 3.6;
+    /// Strength of the darkening of dark tones, 0 to 1.
+    const TOE: f32 = 0.65;
+    /// Thickness of the film of mucus on a wall without texture, 0 to 1.
+    const MEAN_FILM: f32 = 0.75;
+    /// Length of a gradient, HU over the reach, below which tissue is flat and has no normal.
+    const FLAT_SLOPE: f32 = 1e-3;
+    /// Weights of red, green and blue in the brightness for the exposure, close to the sensitivity of the eye.
+    const LUMINANCE: [f32; 3] = [0.3, 0.6, 0.1];
+}
 
 /// Source of a volume's values at positions in voxels.
 pub(super) trait Values<L: Lanes>: Copy {
@@ -88,7 +99,7 @@ fn lit<L: Lanes>(
     let (n, steep) = unit(l, gradient);
     let away = l.less(s(0.0), dot(l, n, back));
     let side = l.select(away, s(1.0), s(-1.0));
-    let flat = l.less(steep, s(1e-3));
+    let flat = l.less(steep, s(FLAT_SLOPE));
     let mut normal = n;
     for a in 0..3 {
         normal[a] = l.select(flat, back[a], l.mul(side, n[a]));
@@ -104,7 +115,7 @@ fn lit<L: Lanes>(
 
     let mut n = n;
     let mut n_film = n;
-    let mut thick = s(0.75);
+    let mut thick = s(MEAN_FILM);
     let mut tint = [s(1.0); 3];
     let mut bumps = (s(0.0), [s(0.0); 3]);
     let lps = along(l, splat(l, light.camera_lps), s(1.0), offset);
@@ -378,8 +389,7 @@ pub(crate) fn brightness(
         let gathered: Vec<Gathered> = pixels.iter().map(|pixel| pixel.2).collect();
         let walls = gather(l, &deltas_of(frame, &directions), &gathered);
         let [r, g, b] = lit(l, &plain, None, (&frame.field, &frame.field), &walls);
-        // Luminance weights of red, green and blue, close to the sensitivity of the eye.
-        let weights = [l.splat(0.3), l.splat(0.6), l.splat(0.1)];
+        let weights = splat(l, LUMINANCE);
         out.extend_from_slice(&l.store(dot(l, [r, g, b], weights))[..pixels.len()]);
     }
     out

@@ -5,12 +5,18 @@ use super::{
     texture::noise,
     vectors::{scaled, turn},
 };
-use crate::lighting::Lighting;
+use crate::{lighting::Lighting, shared_constants::shared_constants};
 
-/// Number of patches of the mist per radian of the view.
-const PATCHES: f32 = 2.3;
-/// Display colour of the mist; the light that the wall reflects illuminates it.
-pub(super) const MIST_RGB: [f32; 3] = [0.66, 0.56, 0.53];
+shared_constants! {
+    /// Number of patches of the mist per radian of the view.
+    const PATCHES: f32 = 2.3;
+    /// Display colour of the mist; the light that the wall reflects illuminates it.
+    pub(super) const MIST_RGB: [f32; 3] = [0.66, 0.56, 0.53];
+    /// Amplitude of the patches' opacity, and their mean opacity.
+    const MIST_COVER: [f32; 2] = [0.22, 0.62];
+    /// Seed of the noise of the mist.
+    const MIST_SEED: i32 = 71;
+}
 
 /// Return the opacity of the mist on the lens, 0 to 1, for rays with steps `delta` in voxels.
 ///
@@ -20,7 +26,10 @@ pub(super) fn mist<L: Lanes>(l: L, light: &Lighting, delta: [L::F; 3]) -> L::F {
     let s = |v: f32| l.splat(v);
     let lps = turn(l, &light.lps_from_ijk, delta);
     let dir = turn(l, &light.camera_from_lps, lps);
-    let (patch, _) = noise(l, scaled(l, s(PATCHES / light.step_mm), dir), 71);
+    let (patch, _) = noise(l, scaled(l, s(PATCHES / light.step_mm), dir), MIST_SEED);
     // The mist has patches of different opacity, but covers the whole lens.
-    l.mul(l.fma(patch, s(0.22), s(0.62)), s(light.look.fog))
+    l.mul(
+        l.fma(patch, s(MIST_COVER[0]), s(MIST_COVER[1])),
+        s(light.look.fog),
+    )
 }

@@ -40,6 +40,7 @@ use crate::{
     CastStats, ClassMap, Frame, InstructionSet, Interpolation, Method,
     composite::Gathered,
     leap::{CELL_REACH, Price, Start, class_margin, value_margin},
+    shared_constants::SharedConstant,
 };
 #[cfg(target_arch = "x86_64")]
 use gathers::gathers_are_faster;
@@ -52,6 +53,18 @@ use scene::{BRUTE, CLASSES, Scene, TRANSPARENT, VALUES, VALUES_PREFETCHED};
 pub(crate) use source::BAND_ROWS;
 use source::Source;
 use voxels::Voxels;
+
+/// Return names and values of the constants of the shading of packets that shaders need too.
+pub(crate) fn shared() -> Vec<SharedConstant> {
+    [
+        film::shared(),
+        lighting::shared(),
+        mist::shared(),
+        rings::shared(),
+        texture::shared(),
+    ]
+    .concat()
+}
 
 pub(crate) use lighting::{brightness, light_rows};
 #[cfg(test)]

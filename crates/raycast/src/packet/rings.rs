@@ -8,39 +8,71 @@ use super::{
     texture::{Texture, noise, sharp},
     vectors::{along, dot, scaled, smooth, unit},
 };
-use crate::{appearance::Appearance, decoration::Decoration};
+use crate::{appearance::Appearance, decoration::Decoration, shared_constants::shared_constants};
 
-/// Height of a ring above the gaps between rings, as a fraction of the distance between rings (5.6 mm).
-const HEIGHT: f32 = 0.050;
-/// Half of the width of a ring, as a fraction of the distance between rings.
-const HALF_WIDTH: f32 = 0.34;
-/// Width of a ring's soft edge, as a fraction of the distance between rings.
-const EDGE: f32 = 0.24;
-/// Largest displacement of regular and of irregular rings, as a fraction of the distance between rings.
-const STRAY: [f32; 2] = [0.09, 0.30];
-/// Cosines of the angle from the middle of the back at which the membranous wall begins and is complete.
-///
-/// The membranous wall takes about a third of the circumference.
-const BACK: [f32; 2] = [0.28, 0.70];
-/// Number of folds of the membranous wall across one radius of the airway, and along one distance between rings.
-const FOLDS: [f32; 2] = [9.0, 0.26];
-/// Sideways displacement of the folds of the membranous wall, in folds.
-const WINDING: f32 = 1.6;
-/// Slope of the sides of the folds of the membranous wall.
-const FOLD: f32 = 0.32;
-/// Strength, 0 to 1, with which the normal of the membranous wall is turned to that of a flat wall.
-const FLAT: f32 = 0.60;
+shared_constants! {
+    /// Height of a ring above the gaps between rings, as a fraction of the distance between rings (5.6 mm).
+    const HEIGHT: f32 = 0.050;
+    /// Half of the width of a ring, as a fraction of the distance between rings.
+    const HALF_WIDTH: f32 = 0.34;
+    /// Width of a ring's soft edge, as a fraction of the distance between rings.
+    const EDGE: f32 = 0.24;
+    /// Largest displacement of regular and of irregular rings, as a fraction of the distance between rings.
+    const STRAY: [f32; 2] = [0.09, 0.30];
+    /// Cosines of the angle from the middle of the back at which the membranous wall begins and is complete.
+    ///
+    /// The membranous wall takes about a third of the circumference.
+    const BACK: [f32; 2] = [0.28, 0.70];
+    /// Number of folds of the membranous wall across one radius of the airway, and along one distance between rings.
+    const FOLDS: [f32; 2] = [9.0, 0.26];
+    /// Sideways displacement of the folds of the membranous wall, in folds.
+    const WINDING: f32 = 1.6;
+    /// Slope of the sides of the folds of the membranous wall.
+    const FOLD: f32 = 0.32;
+    /// Strength, 0 to 1, with which the normal of the membranous wall is turned to that of a flat wall.
+    const FLAT: f32 = 0.60;
 
-/// Changes of red, green and blue by region: the first in the trachea, the second far from it.
-///
-/// The trachea is yellowish and pale; the mucosa far from it is redder.
-const HUE: [(f32, f32); 3] = [(0.02, 0.0), (0.13, -0.06), (0.02, -0.05)];
-/// Changes of red, green and blue by visible blood: between rings, on the membranous wall, and on its folds.
-const BLOOD: [(f32, f32, f32); 3] = [
-    (-0.02, 0.01, 0.04),
-    (-0.15, -0.09, 0.17),
-    (-0.11, -0.06, 0.13),
-];
+    /// Changes of red, green and blue by region: the first in the trachea, the second far from it.
+    ///
+    /// The trachea is yellowish and pale; the mucosa far from it is redder.
+    const HUE: [[f32; 2]; 3] = [[0.02, 0.0], [0.13, -0.06], [0.02, -0.05]];
+    /// Changes of red, green and blue by visible blood: between rings, on the membranous wall, and on its folds.
+    const BLOOD: [[f32; 3]; 3] = [
+        [-0.02, 0.01, 0.04],
+        [-0.15, -0.09, 0.17],
+        [-0.11, -0.06, 0.13],
+    ];
+    /// Slope and offset of the presence of decoration, from the distance from the axis in radii.
+    const NEAR_AXIS: [f32; 2] = [-4.0, 6.2];
+    /// Slope and offset of the presence of rings, from the distance from the axis in radii.
+    const ON_TUBE: [f32; 2] = [6.0, -3.9];
+    /// Slope and offset of the presence of the membranous wall, from the distance from the axis in radii.
+    const ON_BACK: [f32; 2] = [6.0, -2.4];
+    /// Slope of the absence of rings at a fork.
+    const AT_FORK: f32 = 1.3;
+    /// Smallest distance from the axis in radii by which the position on the back is divided.
+    const LEAST_OFF: f32 = 0.05;
+    /// Displacement of the edges of the membranous wall by the mottling.
+    const RAGGED: f32 = 0.06;
+    /// Smallest cosine between wall and viewing direction by which the width of a pixel is divided.
+    const LEAST_FACING: f32 = 0.08;
+    /// Slope and offset of the visibility of rings, from the width of a pixel in distances between rings.
+    const RINGS_SEEN: [f32; 2] = [-4.5, 2.0];
+    /// Slope and offset of the presence of plates round the circumference, from the mottling.
+    const PLATES: [f32; 2] = [1.6, 0.55];
+    /// Paleness of rings.
+    const PALE_RING: f32 = 0.34;
+    /// Paleness of the ridges at forks.
+    const PALE_RIDGE: f32 = 0.65;
+    /// Slope and offset of the redness between rings, from the mottling.
+    const RED: [f32; 2] = [0.7, 0.8];
+    /// Number of folds of the membranous wall along its depth, per radius.
+    const FOLDS_BACK: f32 = 0.8;
+    /// Number of folds per mm with which the visibility of folds is computed.
+    const FOLDS_PER_MM: f32 = 0.7;
+    /// Seed of the noise of the folds.
+    const FOLD_SEED: i32 = 53;
+}
 
 /// Position of wall points along and around their airway, with the strengths of the decoration there.
 struct Place<L: Lanes> {
@@ -180,7 +212,7 @@ pub(super) struct Wall<L: Lanes> {
 fn hue<L: Lanes>(l: L, look: &Appearance, proximal: L::F) -> [L::F; 3] {
     let mut factors = [proximal; 3];
     for c in 0..3 {
-        let (trachea, beyond) = HUE[c];
+        let [trachea, beyond] = HUE[c];
         let region = l.fma(proximal, l.splat(trachea - beyond), l.splat(beyond));
         factors[c] = l.fma(l.splat(look.hue), region, l.splat(1.0));
     }
@@ -208,7 +240,7 @@ pub(super) fn decorate<L: Lanes>(
     let [left, back] = place.across;
     let off = l.sqrt(l.fma(left, left, l.mul(back, back)));
     // Only a wall close to the ideal tube has rings; a flat back wall is nearer to the axis than a tube's wall.
-    let beyond = smooth(l, l.fma(off, s(-4.0), s(6.2)));
+    let beyond = smooth(l, l.fma(off, s(NEAR_AXIS[0]), s(NEAR_AXIS[1])));
     let proximal = l.mul(place.proximal, beyond);
     let mut tint = hue(l, look, proximal);
     // The ridge between two daughter branches is cartilage under thin mucosa.
@@ -220,14 +252,14 @@ pub(super) fn decorate<L: Lanes>(
         l.mul(place.membrane, s(look.membrane)),
     );
     if l.bits(l.less(s(0.0), either)) == 0 {
-        pale = l.min(l.mul(ridge, s(0.65)), one);
+        pale = l.min(l.mul(ridge, s(PALE_RIDGE)), one);
         return Decorated { form, pale, tint };
     }
-    let on_tube = l.mul(smooth(l, l.fma(off, s(6.0), s(-3.9))), beyond);
-    let on_back = l.mul(smooth(l, l.fma(off, s(6.0), s(-2.4))), beyond);
-    let between = l.sub(one, smooth(l, l.mul(place.spur, s(1.3))));
-    let cos_back = l.div(back, l.max(off, s(0.05)));
-    let cos_back = l.fma(skin.mottle, s(0.06), cos_back);
+    let on_tube = l.mul(smooth(l, l.fma(off, s(ON_TUBE[0]), s(ON_TUBE[1]))), beyond);
+    let on_back = l.mul(smooth(l, l.fma(off, s(ON_BACK[0]), s(ON_BACK[1]))), beyond);
+    let between = l.sub(one, smooth(l, l.mul(place.spur, s(AT_FORK))));
+    let cos_back = l.div(back, l.max(off, s(LEAST_OFF)));
+    let cos_back = l.fma(skin.mottle, s(RAGGED), cos_back);
     let at_back = smooth(
         l,
         l.mul(l.sub(cos_back, s(BACK[0])), s(1.0 / (BACK[1] - BACK[0]))),
@@ -237,9 +269,9 @@ pub(super) fn decorate<L: Lanes>(
     let (axis, per_mm) = unit(l, place.growth);
     let width = l.div(
         l.mul(wall.footprint_mm, per_mm),
-        l.max(wall.facing, s(0.08)),
+        l.max(wall.facing, s(LEAST_FACING)),
     );
-    let seen = smooth(l, l.fma(width, s(-4.5), s(2.0)));
+    let seen = smooth(l, l.fma(width, s(RINGS_SEEN[0]), s(RINGS_SEEN[1])));
     let stray = lerp(l, place.regular, s(STRAY[1]), s(STRAY[0]));
     let phase = l.fma(skin.mottle, stray, place.phase);
     let t = l.sub(l.sub(phase, l.floor(phase)), s(0.5));
@@ -254,7 +286,7 @@ pub(super) fn decorate<L: Lanes>(
     let plates = lerp(
         l,
         place.regular,
-        smooth(l, l.fma(skin.mottle, s(1.6), s(0.55))),
+        smooth(l, l.fma(skin.mottle, s(PLATES[0]), s(PLATES[1]))),
         one,
     );
     let no_back = l.fma(l.mul(at_back, place.membrane), s(-1.0), one);
@@ -264,9 +296,9 @@ pub(super) fn decorate<L: Lanes>(
     form = along(l, form, rise, axis);
     // At a distance where single rings are not visible, rings and gaps have one mean colour.
     let ring = lerp(l, seen, s(2.0 * HALF_WIDTH), ring);
-    pale = l.fma(l.mul(strength, ring), s(0.34), pale);
+    pale = l.fma(l.mul(strength, ring), s(PALE_RING), pale);
     // The redness varies between gaps and round the circumference.
-    let red = l.fma(skin.mottle, s(0.7), s(0.8));
+    let red = l.fma(skin.mottle, s(RED[0]), s(RED[1]));
     let interval = l.mul(l.mul(strength, red), l.sub(one, ring));
 
     // Folds run along the membranous wall. The wall is flat, so its normal turns less across the wall than on a round
@@ -282,10 +314,10 @@ pub(super) fn decorate<L: Lanes>(
         let q = [
             l.fma(left, s(FOLDS[0]), l.mul(skin.mottle, s(WINDING))),
             l.mul(place.phase, s(FOLDS[1])),
-            l.mul(back, s(0.8)),
+            l.mul(back, s(FOLDS_BACK)),
         ];
-        let (value, slope) = noise(l, q, 53);
-        let near = sharp(l, wall.footprint_mm, 0.7);
+        let (value, slope) = noise(l, q, FOLD_SEED);
+        let near = sharp(l, wall.footprint_mm, FOLDS_PER_MM);
         fold = l.mul(l.mul(value, near), membrane);
         let sideways = dot(l, wall.normal, side);
         let turned = l.mul(l.mul(sideways, s(FLAT)), membrane);
@@ -297,10 +329,10 @@ pub(super) fn decorate<L: Lanes>(
         form = along(l, form, lean, side);
     }
 
-    pale = l.fma(l.mul(ridge, l.sub(one, pale)), s(0.65), pale);
+    pale = l.fma(l.mul(ridge, l.sub(one, pale)), s(PALE_RIDGE), pale);
     // More blood is visible between rings and on the membranous wall.
     for c in 0..3 {
-        let (of_interval, of_membrane, of_fold) = BLOOD[c];
+        let [of_interval, of_membrane, of_fold] = BLOOD[c];
         let blood = l.fma(
             interval,
             s(of_interval),

@@ -6,20 +6,56 @@ use super::{
     lanes::Lanes,
     vectors::{dot, scaled, smooth, turn},
 };
-use crate::appearance::Appearance;
+use crate::{appearance::Appearance, shared_constants::shared_constants};
 
-/// Number of noise cells per mm of the mottling.
-const MOTTLE_PER_MM: f32 = 0.23;
-/// Number of noise cells per mm of the coarse relief (wrinkles).
-pub(super) const WRINKLES_PER_MM: f32 = 0.45 * RELIEF_PER_MM;
-/// Number of noise cells per mm of the fine relief.
-const RELIEF_PER_MM: f32 = 1.9;
-/// Half of the width of a vessel's stem, mm.
-const VESSEL_MM: f32 = 0.17;
-/// Half of the width of a vessel's branch where it leaves the stem, mm.
-const BRANCH_MM: f32 = 0.12;
-/// Slope of the fine relief at strength 1.
-const RELIEF: f32 = 0.11;
+shared_constants! {
+    /// Number of noise cells per mm of the mottling.
+    const MOTTLE_PER_MM: f32 = 0.23;
+    /// Number of noise cells per mm of the coarse relief (wrinkles).
+    pub(super) const WRINKLES_PER_MM: f32 = 0.45 * RELIEF_PER_MM;
+    /// Number of noise cells per mm of the fine relief.
+    const RELIEF_PER_MM: f32 = 1.9;
+    /// Half of the width of a vessel's stem, mm.
+    const VESSEL_MM: f32 = 0.17;
+    /// Half of the width of a vessel's branch where it leaves the stem, mm.
+    const BRANCH_MM: f32 = 0.12;
+    /// Slope of the fine relief at strength 1.
+    const RELIEF: f32 = 0.11;
+    /// Multipliers of the hash of a lattice point: odd numbers without a pattern in their bits.
+    const PRIMES: [i32; 3] = [
+        0x0019_660d_u32 as i32,
+        0x9e37_79b1_u32 as i32,
+        0x85eb_ca77_u32 as i32,
+    ];
+    /// Number that the hash of a lattice point adds between its two mixing steps.
+    const STIR: i32 = 0x6d2b_79f5;
+    /// Coefficients of the polynomial `x^3 (6 x^2 - 15 x + 10)`, which interpolates the noise.
+    const BLEND: [f32; 3] = [6.0, -15.0, 10.0];
+    /// Seeds of the noises of mottling, fine relief and wrinkles.
+    const SKIN_SEEDS: [i32; 3] = [11, 37, 41];
+    /// Changes of red, green and blue by the mottling and by vessels.
+    const SKIN_TINT: [[f32; 2]; 3] = [[0.03, -0.08], [-0.11, -0.40], [-0.09, -0.30]];
+    /// Thickness of the film: changes by the fine relief and by the mottling, and mean.
+    const FILM_FROM: [f32; 3] = [1.2, 0.35, 0.75];
+    /// Slope and offset of the visibility of noise, from the size of a pixel in cells.
+    const SHARP: [f32; 2] = [-2.0, 2.0];
+    /// Smallest length of a noise's gradient per mm at a vessel.
+    const LEAST_STEEP: f32 = 1e-3;
+    /// Smallest half-width of a drawn vessel, pixels.
+    const LEAST_VESSEL_PX: f32 = 0.7;
+    /// Slope and offset of the presence of stems, from the length of the noise's gradient.
+    const STEMS: [f32; 2] = [1.5, -0.5];
+    /// Slope and offset of the presence of branches, from the length of the noise's gradient.
+    const BRANCHES: [f32; 2] = [1.5, -0.6];
+    /// Slope, offset and smallest value of the width of a branch, from the mottling.
+    const TAPER: [f32; 3] = [-1.8, 1.0, 0.1];
+    /// Slope of the presence of branches beside their stem.
+    const BESIDE_STEM: f32 = 12.0;
+    /// Slope and offset of the presence of vessels along their line.
+    const SHOWN: [f32; 2] = [1.4, 0.4];
+    /// Rotation from the patient's axes to the noise lattice, chosen so that no row of the lattice runs along an airway.
+    pub(super) const ASKEW: [[f32; 3]; 3] = [[0.36, 0.48, -0.8], [-0.8, 0.60, 0.0], [0.48, 0.64, 0.60]];
+}
 
 #[inline(always)]
 fn lerp<L: Lanes>(l: L, t: L::F, a: L::F, b: L::F) -> L::F {
@@ -38,19 +74,13 @@ fn mix<L: Lanes>(l: L, x: L::I) -> L::I {
 #[inline(always)]
 fn corner<L: Lanes>(l: L, at: [[L::I; 2]; 3], [i, j, k]: [usize; 3]) -> L::F {
     let sum = l.add_i(l.add_i(at[0][i], at[1][j]), at[2][k]);
-    let mixed = mix(l, l.add_i(mix(l, sum), l.splat_i(0x6d2b_79f5)));
+    let mixed = mix(l, l.add_i(mix(l, sum), l.splat_i(STIR)));
     l.mul(l.to_f(mixed), l.splat(1.0 / 2_147_483_648.0))
 }
 
 /// Return lattice noise at positions `q`, from -1 to 1, and its gradient; the noise is smooth to the second derivative.
 #[inline(always)]
 pub(super) fn noise<L: Lanes>(l: L, q: [L::F; 3], seed: i32) -> (L::F, [L::F; 3]) {
-    // Multipliers of the hash of a lattice point: odd numbers without a pattern in their bits.
-    const PRIMES: [i32; 3] = [
-        0x0019_660d_u32 as i32,
-        0x9e37_79b1_u32 as i32,
-        0x85eb_ca77_u32 as i32,
-    ];
     let one = l.splat(1.0);
     let (mut t, mut slope) = (q, q);
     let mut at = [[l.splat_i(seed); 2]; 3];
@@ -64,7 +94,7 @@ pub(super) fn noise<L: Lanes>(l: L, q: [L::F; 3], seed: i32) -> (L::F, [L::F; 3]
         at[a] = [low, l.add_i(low, l.splat_i(PRIMES[a]))];
         // x^3 (6 x^2 - 15 x + 10) and its derivative 30 x^2 (x - 1)^2.
         let s = |v: f32| l.splat(v);
-        let inner = l.fma(x, l.fma(x, s(6.0), s(-15.0)), s(10.0));
+        let inner = l.fma(x, l.fma(x, s(BLEND[0]), s(BLEND[1])), s(BLEND[2]));
         t[a] = l.mul(l.mul(l.mul(x, x), x), inner);
         let y = l.mul(x, l.sub(x, one));
         slope[a] = l.mul(s(30.0), l.mul(y, y));
@@ -119,14 +149,11 @@ pub(super) struct Texture<L: Lanes> {
     pub bumps: (L::F, [L::F; 3]),
 }
 
-/// Rotation from the patient's axes to the noise lattice, chosen so that no row of the lattice runs along an airway.
-pub(super) const ASKEW: [[f32; 3]; 3] = [[0.36, 0.48, -0.8], [-0.8, 0.60, 0.0], [0.48, 0.64, 0.60]];
-
 /// Return the visibility of noise: 1 if a cell of its lattice covers 2 pixels or more, 0 if it covers less than one.
 #[inline(always)]
 pub(super) fn sharp<L: Lanes>(l: L, footprint_mm: L::F, per_mm: f32) -> L::F {
     let cells = l.mul(footprint_mm, l.splat(per_mm));
-    smooth(l, l.fma(cells, l.splat(-2.0), l.splat(2.0)))
+    smooth(l, l.fma(cells, l.splat(SHARP[0]), l.splat(SHARP[1])))
 }
 
 /// Return the coverage, 0 to 1, by a line that follows the zeros of a noise and has the half-width `half_mm`.
@@ -140,8 +167,8 @@ fn line<L: Lanes>(
     footprint_mm: L::F,
 ) -> L::F {
     let s = |v: f32| l.splat(v);
-    let off_mm = l.div(l.abs(web), l.max(steep_per_mm, s(1e-3)));
-    let width = l.max(half_mm, l.mul(footprint_mm, s(0.7)));
+    let off_mm = l.div(l.abs(web), l.max(steep_per_mm, s(LEAST_STEEP)));
+    let width = l.max(half_mm, l.mul(footprint_mm, s(LEAST_VESSEL_PX)));
     let per_width = l.div(s(1.0), width);
     let near = smooth(l, l.sub(s(1.0), l.mul(off_mm, per_width)));
     // Thin vessels at a distance become paler, not wider.
@@ -168,22 +195,25 @@ fn vessel<L: Lanes>(
         s(VESSEL_MM),
         footprint_mm,
     );
-    let stem = l.mul(stem, smooth(l, l.fma(bend_steep, s(1.5), s(-0.5))));
-    let taper = l.fma(mottle, s(-1.8), s(1.0));
-    let half = l.mul(l.max(taper, s(0.1)), s(BRANCH_MM));
+    let stem = l.mul(stem, smooth(l, l.fma(bend_steep, s(STEMS[0]), s(STEMS[1]))));
+    let taper = l.fma(mottle, s(TAPER[0]), s(TAPER[1]));
+    let half = l.mul(l.max(taper, s(TAPER[2])), s(BRANCH_MM));
     let branch = line(
         l,
         (wrinkle, l.mul(fold_steep, s(WRINKLES_PER_MM))),
         half,
         footprint_mm,
     );
-    let branch = l.mul(branch, smooth(l, l.fma(fold_steep, s(1.5), s(-0.6))));
+    let branch = l.mul(
+        branch,
+        smooth(l, l.fma(fold_steep, s(BRANCHES[0]), s(BRANCHES[1]))),
+    );
     let beside = l.mul(
-        smooth(l, l.mul(mottle, s(12.0))),
+        smooth(l, l.mul(mottle, s(BESIDE_STEM))),
         smooth(l, l.add(taper, taper)),
     );
     // Vessels appear and disappear along a line, so that no line is a closed ring.
-    let shown = smooth(l, l.fma(bend[0], s(1.4), s(0.4)));
+    let shown = smooth(l, l.fma(bend[0], s(SHOWN[0]), s(SHOWN[1])));
     l.mul(l.max(stem, l.mul(branch, beside)), shown)
 }
 
@@ -200,20 +230,21 @@ pub(super) fn texture<L: Lanes>(
 ) -> Texture<L> {
     let s = |v: f32| l.splat(v);
     let q = turn(l, &ASKEW, lps);
-    let (mottled, bend) = noise(l, scaled(l, s(MOTTLE_PER_MM), q), 11);
+    let (mottled, bend) = noise(l, scaled(l, s(MOTTLE_PER_MM), q), SKIN_SEEDS[0]);
     let mottle = l.mul(mottled, s(look.texture));
-    let (grain, slope) = noise(l, scaled(l, s(RELIEF_PER_MM), q), 37);
-    let (wrinkle, coarse) = noise(l, scaled(l, s(WRINKLES_PER_MM), q), 41);
+    let (grain, slope) = noise(l, scaled(l, s(RELIEF_PER_MM), q), SKIN_SEEDS[1]);
+    let (wrinkle, coarse) = noise(l, scaled(l, s(WRINKLES_PER_MM), q), SKIN_SEEDS[2]);
     let mut vessels = s(0.0);
     if look.vessels > 0.0 {
         vessels = vessel(l, (mottled, bend), (wrinkle, coarse), footprint_mm);
         vessels = l.mul(vessels, s(look.vessels));
     }
-    let tint = [
-        l.fma(mottle, s(0.03), l.fma(vessels, s(-0.08), s(1.0))),
-        l.fma(mottle, s(-0.11), l.fma(vessels, s(-0.40), s(1.0))),
-        l.fma(mottle, s(-0.09), l.fma(vessels, s(-0.30), s(1.0))),
-    ];
+    let mut tint = [vessels; 3];
+    for c in 0..3 {
+        let [of_mottle, of_vessel] = SKIN_TINT[c];
+        let without_mottle = l.fma(vessels, s(of_vessel), s(1.0));
+        tint[c] = l.fma(mottle, s(of_mottle), without_mottle);
+    }
     let slope_of = s(RELIEF * look.texture);
     let fine = l.mul(sharp(l, footprint_mm, RELIEF_PER_MM), slope_of);
     let wide = l.mul(sharp(l, footprint_mm, WRINKLES_PER_MM), slope_of);
@@ -223,7 +254,9 @@ pub(super) fn texture<L: Lanes>(
     }
     // The rotation from the lattice to the patient is the transpose of the rotation to the lattice.
     let back = from_fn::<_, 3, _>(|x| from_fn(|a| ASKEW[a][x]));
-    let film = l.fma(l.mul(grain, fine), s(1.2), l.fma(mottle, s(0.35), s(0.75)));
+    let [of_grain, of_mottle, mean] = FILM_FROM;
+    let film = l.fma(mottle, s(of_mottle), s(mean));
+    let film = l.fma(l.mul(grain, fine), s(of_grain), film);
     Texture {
         tint,
         relief: turn(l, &back, relief),

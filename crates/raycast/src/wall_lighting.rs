@@ -1,0 +1,92 @@
+//! Parameters of a frame with which other hardware shades the same first walls.
+
+use std::sync::Arc;
+
+use crate::{
+    Appearance, Frame, NormalBricks,
+    bricks::{Fill, MAX_BRICKS},
+    lighting::Lighting,
+};
+
+/// Anatomical data of airway walls, as the shading reads them.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct WallDecoration<'a> {
+    /// Values of the cells, two items of four numbers per cell, x fastest.
+    pub cells: &'a [[f32; 4]],
+    /// Number of cells along x, y and z.
+    pub shape: [i32; 3],
+    /// Position of the first cell's centre, LPS mm.
+    pub origin_lps: [f32; 3],
+    /// Number of cells per mm.
+    pub cells_per_mm: f32,
+}
+
+/// Parameters of a [`Frame`] for the shading of its first walls, as this crate uses them.
+#[derive(Debug, Clone, PartialEq)]
+pub struct WallLighting<'a> {
+    /// Light, gloss, texture and decoration.
+    pub look: Appearance,
+    /// Position of the camera's centre, LPS mm.
+    pub camera_lps: [f32; 3],
+    /// Matrix from voxels to LPS mm, without translation.
+    pub lps_from_ijk: [[f32; 3]; 3],
+    /// Matrix from LPS mm to voxels, without translation.
+    pub ijk_from_lps: [[f32; 3]; 3],
+    /// Matrix from LPS to camera space, without translation.
+    pub camera_from_lps: [[f32; 3]; 3],
+    /// Positions of the light guides relative to the camera's centre, LPS mm.
+    pub guides: [[f32; 3]; 2],
+    /// Width of a pixel in the middle of the picture at a distance of 1 mm, mm.
+    pub pixel_mm: f32,
+    /// Distance from a voxel to the samples of its slope along each axis, voxels.
+    pub reach: [f32; 3],
+    /// Lower and upper limit to which the samples of a slope are clamped.
+    pub held: [f32; 2],
+    /// Matrix from slopes to inward normals in LPS.
+    pub inward: [[f32; 3]; 3],
+    /// Factor from slopes to the whole numbers that are interpolated between voxels.
+    pub slope_scale: f32,
+    /// Factor from these whole numbers to slopes.
+    pub slope_unit: f32,
+    /// Number of bricks of the volume along each axis.
+    pub num_bricks: [usize; 3],
+    /// Largest number of bricks that are stored.
+    pub most_bricks: usize,
+    /// Anatomical data; `None` without decoration from the airway tree.
+    pub decoration: Option<WallDecoration<'a>>,
+}
+
+impl Frame<'_> {
+    /// Return the parameters for the shading of this frame's walls; `None` for a frame without an appearance.
+    #[must_use]
+    pub fn wall_lighting(&self) -> Option<WallLighting<'_>> {
+        // The slopes' parameters are needed, not their cache.
+        let bricks = Arc::new(NormalBricks::with_capacity(self, 0));
+        let light = Lighting::reading(self, Arc::clone(&bricks))?;
+        let decoration = self.decoration.as_ref();
+        Some(WallLighting {
+            look: light.look,
+            camera_lps: light.camera_lps,
+            lps_from_ijk: light.lps_from_ijk,
+            ijk_from_lps: light.ijk_from_lps,
+            camera_from_lps: light.camera_from_lps,
+            guides: light.guides,
+            pixel_mm: light.pixel_mm,
+            reach: light.normals.reach,
+            held: light.normals.held,
+            inward: light.normals.rows,
+            slope_scale: bricks.scale(),
+            slope_unit: bricks.unit(),
+            num_bricks: bricks.store().num_bricks(),
+            most_bricks: MAX_BRICKS.min(bricks.store().table().len()),
+            decoration: decoration
+                .filter(|_| light.look.knows_anatomy())
+                .map(|field| WallDecoration {
+                    cells: field.cells,
+                    shape: field.shape_ijk,
+                    origin_lps: field.origin_lps,
+                    cells_per_mm: field.cells_per_mm,
+                }),
+        })
+    }
+}
