@@ -20,6 +20,7 @@ Scans (``carina.volume``, ``carina.phantom``)
     generate_phantom    Generate a chest CT with known airways; write_phantom writes one to a folder
     generate_mr_phantom Generate an MR picture of such a chest
     Volume              A CT in HU with its geometry
+    insert_nodule       Insert a nodule into a CT for training (``carina.training``)
 
 Airways (``carina.track``)
     find_airways        Find the lumen, the tree and the names of its branches

@@ -13,7 +13,7 @@ import carina
 from carina.cli.app_airways import airways, export, plan, track
 from carina.cli.app_case import case
 from carina.cli.app_cluster import cluster
-from carina.cli.app_training import score
+from carina.cli.app_training import insert, score
 from carina.cli.arguments import check_needs, check_output_folder, check_window_path, parse_point, parse_size
 from carina.cli.console import (
     accept_any_text,
@@ -717,6 +717,7 @@ def fly(
 
 
 app.command()(score)
+app.command()(insert)
 
 
 @app.command()

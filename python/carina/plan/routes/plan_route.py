@@ -59,6 +59,7 @@ from carina.plan.targets.target import PlanTarget
 from carina.scopes import ScopeHold, ScopePreset, WallField
 from carina.track import Airways, TreeMeasures, wall_field
 from carina.volume import Volume
+from carina.volume.inserted_structures import INSERTED
 
 __all__ = [
     "PLANNED_SCOPE",
@@ -549,6 +550,7 @@ def draft_plan(
         routes=kept,
         why=None if kept else why_none(airways, nodule, nearest, used),
         notes=(
+            *(note.words for note in volume.source.notes if note.code == INSERTED),
             *(note.words for note in airways.badges),
             *notes_of_target(volume, airways, nodule, nearest),
             *notes_of_tools(preset, used),
