@@ -9,6 +9,8 @@ it. It is trained and tested on other nodules (cross-validation). *Unmatched* no
 from __future__ import annotations
 
 import argparse
+import math
+import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -29,9 +31,9 @@ __all__ = ["FEATURES", "area_under_curve", "cross_validated_scores", "edge_featu
 Floats = NDArray[np.float64]
 
 KINDS: tuple[NoduleKind, ...] = ("solid", "solid", "part-solid", "ground-glass")
-DIAMETERS_MM = (14.0, 20.0)
+DIAMETERS_MM = (18.0, 26.0)
 """Range of the diameters; a smaller core has no interior for the noise."""
-INSIDE_MM, MOST_SPREAD_HU = 4.5, 60.0
+INSIDE_MM, MOST_SPREAD_HU = 6.5, 80.0
 """Depth in mm of the block of voxels for the noise, and largest range in HU of its smoothed values."""
 SAME_TILT = 0.15
 """Largest difference of the components across slices of the directions of a nodule's edge and of its real partner.
@@ -254,23 +256,29 @@ def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m carina_bench.inserted_nodules", description=__doc__)
     parser.add_argument("ct", nargs="+", help="folder or file of a CT, or `patient` for the bundled one")
     parser.add_argument("--num", type=int, default=40, help="number of nodules in all CTs together")
+    parser.add_argument("--seconds", type=float, default=math.inf, help="time after which no more nodules are inserted")
     options = parser.parse_args(arguments)
+    end_s = time.monotonic() + options.seconds
     shares: list[float] = []
     samples: dict[str, list[tuple[int, Floats]]] = {"matched": [], "unmatched": [], "real": []}
     for case, path in enumerate(options.ct):
+        if time.monotonic() > end_s:
+            break
         volume = carina.demo_patient() if path == "patient" else carina.open_volume(Path(path), progress=False)
         airways = carina.find_airways(volume, progress=False)
         for number in range(case, options.num, len(options.ct)):
+            if time.monotonic() > end_s:
+                break
             rng = np.random.default_rng([number, 45])
             kind = KINDS[number % len(KINDS)]
             diameter = float(rng.uniform(*DIAMETERS_MM))
             try:
                 place = free_nodule_position(volume, airways, diameter_mm=diameter, spiculation=0.3, seed=number,
-                                             through_vessels=number % 2 == 1)  # fmt: skip
+                                             through_vessels=True)  # fmt: skip
                 made = insert_nodule(
                     volume, airways, place, kind=kind, diameter_mm=diameter, spiculation=0.3, seed=number,
                     core_diameter_mm=0.8 * diameter if kind == "part-solid" else None,
-                    through_vessels=number % 2 == 1,
+                    through_vessels=True,
                 )  # fmt: skip
             except CarinaError as error:
                 print(f"CT {case} nodule {number}: refused, {error.code}", flush=True)

@@ -65,7 +65,7 @@ GAPS: tuple[_Measure, ...] = (
     _Measure("segments_revisited", False, (("optimal", "novice"), ("experienced", "novice")), "Agbontaen 2025"),
     _Measure("num_contacts", False, (("optimal", "wall-hugging"), ("experienced", "wall-hugging")), "Moorthy 2003"),
     _Measure("path_mm_per_segment", False, (("optimal", "novice"),), "Moorthy 2003"),
-    _Measure("lumen_in_middle", True, (("optimal", "novice"), ("experienced", "novice")), "Nat Commun 2023"),
+    _Measure("lumen_in_middle", True, (("optimal", "novice"), ("experienced", "novice")), "Nature Communications 2023"),
 )
 
 
