@@ -78,6 +78,7 @@ from .track import (
     wall_field as wall_field,
 )
 from .training import (
+    insert_nodule as insert_nodule,
     score_recording as score_recording,
 )
 from .volume import (

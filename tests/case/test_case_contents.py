@@ -14,7 +14,8 @@ from carina.commands import Steer
 from carina.errors import DiskError, UsageError
 from carina.navigate import Navigator, Pilot, Recorder
 from carina.scopes import Pose
-from carina.volume import Volume, ct_digest
+from carina.volume import Volume, badges_of, ct_digest
+from carina.volume.inserted_structures import INSERTED, with_inserted
 
 
 def some_case(num_acts=6, seed=5):
@@ -256,6 +257,28 @@ def test_scan_stored_inside_a_case_file_is_restored_voxel_by_voxel(active_case, 
     connection = sqlite3.connect(tmp_path / "packed.carina")
     assert connection.execute("SELECT count(*) FROM ct").fetchone()[0] == 12
     connection.close()
+
+
+def test_packed_scan_with_an_inserted_nodule_opens_with_its_note(active_case, tmp_path):
+    texts = ("solid nodule, 8.0 mm, at -41.0 12.0 -180.0", "ground-glass nodule, 6.0 mm, at 1.0 2.0 3.0")
+    scan = active_case.case.volume
+    marked = Volume(scan.hu_zyx, scan.lps_from_ijk, source=with_inserted(scan.source, texts))
+    path = packed(active_case, tmp_path, marked)
+    with CaseFile.open(path, read_only=True) as file:
+        found = file.packed_volume()
+    assert found.source.inserted == texts
+    assert [note.code for note in badges_of(found)] == [INSERTED]
+    assert found.source.title == "Inserted nodule: packed scan"
+
+
+def test_damaged_list_of_inserted_nodules_is_reported(active_case, tmp_path):
+    scan = active_case.case.volume
+    path = packed(active_case, tmp_path, Volume(scan.hu_zyx, scan.lps_from_ijk, source=with_inserted(scan.source, "a")))
+    with sqlite3.connect(path) as connection:
+        connection.execute("UPDATE extra SET json = '[1]' WHERE kind = 'inserted'")
+    connection.close()
+    with CaseFile.open(path, read_only=True) as file, pytest.raises(CaseFileError, match="inserted structures"):
+        file.packed_volume()
 
 
 @pytest.mark.parametrize(

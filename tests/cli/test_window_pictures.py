@@ -13,8 +13,8 @@ import pytest
 
 import carina as api
 from carina import commands as c
+from carina.display.dot_letters import glyph_size, text_height, text_width
 from carina.errors import CancelledError, CarinaError, UsageError
-from carina.render.picture_text import glyph_size, text_height, text_width
 from carina.server.files.pictures import Pictures
 from carina.track.tree.branch_labels import branch_label
 

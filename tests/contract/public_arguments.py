@@ -66,6 +66,10 @@ class Things:
     def airways(self) -> carina.Airways:
         return found_airways(self.volume)
 
+    @cached_property
+    def free_place(self) -> Any:
+        return carina.training.free_nodule_position(self.volume, self.airways, diameter_mm=8.0)
+
     @property
     def tree(self) -> carina.AirwayTree:
         return self.airways.tree
@@ -262,6 +266,9 @@ GOOD: dict[str, Good] = {
     "generate_mr_phantom": Good(lambda _: {"spacing_mm": 5.0, "generations": 3}),
     "generate_phantom": Good(lambda _: {"spacing_mm": 8.0, "generations": 3, "box_lps": BOX}),
     "grow_nodule": Good(lambda t: {"volume": t.volume, "at_lps": t.nodule.centre_lps}),
+    "insert_nodule": Good(
+        lambda t: {"volume": t.volume, "airways": t.airways, "centre_lps": t.free_place, "diameter_mm": 8.0}
+    ),
     "inspect_path": Good(lambda t: {"path": t.ct_file}),
     "isoregion_map": Good(lambda t: {"volume": t.small_volume}),
     "measure_tree": Good(lambda t: {"volume": t.volume, "airways": t.airways}),

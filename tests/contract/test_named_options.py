@@ -22,7 +22,7 @@ FOREIGN = {
     "installation.py": "options of pip and uv",
     "server/wire/generate.py": "an option of the generator of TypeScript types",
 }
-OF_CT = ("info", "airways", "export", "track", "plan", "render", "isoregion", "fly", "score")
+OF_CT = ("info", "airways", "export", "track", "plan", "render", "isoregion", "fly", "score", "insert")
 PRINTED_BY: dict[str, tuple[str, ...]] = {
     "cli/adding.py": ("airways",),
     "cli/airways.py --add-branch": ("airways",),
@@ -42,6 +42,8 @@ PRINTED_BY: dict[str, tuple[str, ...]] = {
     "render/isoregion_file.py": ("isoregion",),
     "cli/score.py": ("score",),
     "cli/course.py": ("course",),
+    "cli/insert.py": ("insert",),
+    "training/insert_nodule.py": ("insert",),
     "cli/stored_frames.py": ("fly",),
     "cli/pacs.py": ("pacs search",),
     "cli/opened.py --ct": OF_CT,

@@ -10,8 +10,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from carina.display.dot_letters import GLYPHS
 from carina.export.film_captions import FilmCaptions
-from carina.render.picture_text import _GLYPHS
 from carina.session.scene.branch_names import path_spans
 from carina.track import AirwayTree, Branch
 from carina.track.tree.branch_labels import UNCERTAIN_NAME, branch_label
@@ -34,7 +34,7 @@ BRANCH = Branch(1, None, (), 0, "RB9", "tracked", POINTS, np.full(3, 4.0), name_
 )
 def test_label_states_an_uncertain_name_and_a_branch_that_the_ct_does_not_show(changed, label):
     assert branch_label(dataclasses.replace(BRANCH, **changed)) == label
-    assert set(label) <= set(_GLYPHS)
+    assert set(label) <= set(GLYPHS)
 
 
 def test_limit_of_an_uncertain_name_is_that_of_the_list_in_the_window():

@@ -73,8 +73,8 @@ class Disk:
                 far = float(np.linalg.norm(point - fork))
                 if gap >= 0.25 * radius and far < best:
                     mouth, best = point, far
-            if best < math.inf:
-                break  # A descendant is farther from the fork than the branch itself.
+            if best < math.inf and one.id == branch.id:
+                break  # Descendants count only if the branch itself has no such point.
         self.mouth = mouth
         way = mouth - fork if np.linalg.norm(mouth - fork) >= 0.5 else branch.points[-1] - fork
         self.into = way / np.linalg.norm(way)
@@ -160,15 +160,16 @@ class Judge:
         return found
 
     def visible_area(self, disk: Disk, pose: np.ndarray) -> float:
-        """Return the share of the disk in the picture and before the walls, by rings of equal area."""
+        """Return the share of the disk in the picture and before the walls, by the 200 points of the definition."""
         eye, forward = pose[:3, 3], pose[:3, 2]
         right = np.cross(disk.into, (1.0, 0.0, 0.0) if abs(disk.into[0]) < 0.9 else (0.0, 1.0, 0.0))
         right /= np.linalg.norm(right)
         up = np.cross(right, disk.into)
-        angles = 2 * np.pi * (np.arange(32) + 0.5) / 32
-        spokes = np.outer(np.cos(angles), right) + np.outer(np.sin(angles), up)
-        radii = disk.radius * np.sqrt((np.arange(12) + 0.5) / 12)
-        points = (disk.mouth + radii[:, None, None] * spokes).reshape(-1, 3)
+        points = []
+        for n in range(200):
+            angle, radius = n * math.pi * (3.0 - math.sqrt(5.0)), disk.radius * math.sqrt((n + 0.5) / 200)
+            points.append(disk.mouth + radius * (math.cos(angle) * right + math.sin(angle) * up))
+        points = np.array(points)
         far = np.linalg.norm(points - eye, axis=1)
         rays = (points - eye) / far[:, None]
         limit = math.radians(min(self.requested_deg, self.fov_deg) / 2.0)
@@ -223,6 +224,12 @@ class Judge:
 
 
 _JUDGES: dict[Any, Judge] = {}
+
+
+def forget_cases() -> None:
+    """Empty the caches, which identify branches by number and length, before another case is scored."""
+    _JUDGES.clear()
+    _SPACED.clear()
 
 
 def judge_of(tree: AirwayTree, wall: WallField, scope: str, fov_deg: float) -> Judge:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,7 @@ import carina
 from carina.cli.adding import add_branches, error_json
 from carina.cli.arguments import check_needs, check_output_file, check_range
 from carina.cli.console import print_json, print_note, print_result, progress_printer
-from carina.cli.opened import OpenedInput, check_case_options, open_input
+from carina.cli.opened import Badges, OpenedInput, check_case_options, open_input
 from carina.errors import UsageError
 from carina.export import (
     EXPORT_FORMATS,
@@ -24,12 +25,15 @@ from carina.export import (
     export_airways,
     export_tree,
     is_tree_file,
+    printable_phantom,
     read_tree,
     write_mask,
+    write_mesh,
     write_tree,
 )
+from carina.export.printable_phantom import BUILD_MM, LEAST_WALL_MM, WALL_MM
 from carina.track import Absence, Airways, TreeMeasures, TreeRow, drawn_tree, kind_words, lumen_mask, measure_tree
-from carina.volume import open_mask
+from carina.volume import Volume, open_mask
 
 
 def find(
@@ -142,9 +146,56 @@ def print_formats() -> None:
                 print_result(f"  {row.suffix:<10} {row.words}")
 
 
+@dataclass(frozen=True, slots=True)
+class PrintOptions:
+    """Options of a printable phantom."""
+
+    wall_mm: float
+    open_tips: bool
+    names: bool
+    build_mm: tuple[float, float, float]
+    least_wall_mm: float
+
+    @classmethod
+    def of(
+        cls,
+        *,
+        wanted: bool,
+        wall_mm: float | None,
+        open_tips: bool,
+        no_names: bool,
+        build_mm: NDArray[np.float64] | None,
+        least_wall_mm: float | None,
+    ) -> PrintOptions | None:
+        """Return the options, checked; None if no printable phantom is wanted."""
+        if not wanted:
+            check_needs(
+                "a printable phantom (--phantom-print)",
+                wall_mm=wall_mm,
+                open_tips=open_tips,
+                no_names=no_names,
+                build_mm=build_mm,
+                least_wall_mm=least_wall_mm,
+            )
+            return None
+        check_range("--wall-mm", wall_mm, *WALL_MM, "mm")
+        check_range("--least-wall-mm", least_wall_mm, 0.1, 10.0, "mm")
+        sides = BUILD_MM if build_mm is None else (float(build_mm[0]), float(build_mm[1]), float(build_mm[2]))
+        for side in sides:
+            check_range("--build-mm", side, 10.0, 5000.0, "mm")
+        return cls(
+            2.0 if wall_mm is None else wall_mm,
+            open_tips,
+            not no_names,
+            sides,
+            LEAST_WALL_MM if least_wall_mm is None else least_wall_mm,
+        )
+
+
 def write(
     path: Path,
     *,
+    printed: PrintOptions | None,
     output: Path,
     tree: Path | None,
     from_mask: Path | None,
@@ -156,6 +207,10 @@ def write(
     ct: Path | None = None,
 ) -> int:
     """Find the airways, or read a tree from a file, and write them in another format."""
+    if printed is not None:
+        check_output_file(output, ".stl", ".ply", ".obj")
+        if tree is not None:
+            raise UsageError("--tree only applies to formats without the lumen; --phantom-print needs the lumen")
     try:
         tree_alone = is_tree_file(output)
     except UsageError as error:
@@ -178,6 +233,10 @@ def write(
                 f"--tree: no branch of {tree} lies within the scan {path.name}; the tree may belong to another patient"
             )
         export_tree(output, given, badges=badges.notes)
+    elif printed is not None:
+        airways = _airways(source, seed=None, from_mask=from_mask, label=label, resample=resample)
+        badges.add_airways_notes(airways)
+        return _write_print(output, volume, airways, printed, badges, as_json=as_json)
     else:
         airways = _airways(source, seed=None, from_mask=from_mask, label=label, resample=resample)
         given = given or airways.tree
@@ -186,6 +245,39 @@ def write(
     print_note(f"wrote {output}")
     if as_json:
         print_json({"output": str(output), "num_branches": len(given), "badges": badges.to_json()})
+    return 0
+
+
+def _write_print(
+    output: Path, volume: Volume, airways: Airways, printed: PrintOptions, badges: Badges, *, as_json: bool
+) -> int:
+    """Write a printable phantom, and print its facts."""
+    made = printable_phantom(
+        volume,
+        airways,
+        wall_mm=printed.wall_mm,
+        open_tips=printed.open_tips,
+        names=printed.names,
+        build_mm=printed.build_mm,
+        least_wall_mm=printed.least_wall_mm,
+        progress=progress_printer(),
+    )
+    drawn = drawn_tree(airways.tree).words
+    note = None if drawn is None else f"{drawn}: not from the CT"
+    write_mesh(output, made.mesh, note=note, badges=badges.notes, contents="printable airway wall")
+    print_note(f"wrote {output}")
+    if made.num_narrow:
+        print_note(f"note: {made.num_narrow} branches have a lumen below 2 mm, which a print may block")
+    if made.names_left_out:
+        print_note(f"note: no room for the names {', '.join(made.names_left_out)}")
+    if as_json:
+        print_json({"output": str(output), **made.to_json(), "badges": badges.to_json()})
+    else:
+        x, y, z = made.size_mm
+        print_result(
+            f"wall of {made.wall_mm:g} mm, {x:.0f} x {y:.0f} x {z:.0f} mm, {made.mesh.volume_mm3 / 1000.0:.0f} ml of "
+            f"material, {len(made.names)} names"
+        )
     return 0
 
 

@@ -15,7 +15,7 @@ from carina.cli.app_case import case
 from carina.cli.app_cluster import cluster
 from carina.cli.app_dicom import deidentify
 from carina.cli.app_pacs import pacs
-from carina.cli.app_training import course, score
+from carina.cli.app_training import course, insert, score
 from carina.cli.arguments import check_needs, check_output_folder, check_window_path, parse_point, parse_size
 from carina.cli.console import (
     accept_any_text,
@@ -732,6 +732,7 @@ def fly(
 
 app.command()(score)
 app.command()(course)
+app.command()(insert)
 
 
 @app.command()

@@ -115,6 +115,24 @@ def export(
     series: SeriesOption = None,
     ct: CtOption = None,
     strict: StrictOption = False,
+    phantom_print: Annotated[
+        bool,
+        typer.Option(
+            "--phantom-print",
+            help="Write the airway wall as a solid for a 3D printer (.stl, .ply, .obj), open at the trachea.",
+        ),
+    ] = False,
+    wall_mm: Annotated[
+        float | None, typer.Option("--wall-mm", help="Thickness of the printed wall, 0.6 to 2.2 mm (default: 2).")
+    ] = None,
+    open_tips: Annotated[bool, typer.Option("--open-tips", help="Open the tips of the printed airways, too.")] = False,
+    no_names: Annotated[bool, typer.Option("--no-names", help="Print without embossed names.")] = False,
+    build_mm: Annotated[
+        str | None, typer.Option("--build-mm", help="Build volume of the printer, x,y,z in mm (default: 250,210,210).")
+    ] = None,
+    least_wall_mm: Annotated[
+        float | None, typer.Option("--least-wall-mm", help="Least wall that the printer makes, in mm (default: 1).")
+    ] = None,
     as_json: JsonOption = False,
     formats: Annotated[
         bool, typer.Option("--formats", callback=_list_formats, is_eager=True, help="List the formats and exit.")
@@ -123,13 +141,23 @@ def export(
     """Write the airways to a file for other software, in LPS millimetres.
 
     Example: carina export ~/scans/thorax -o airways.stl
+
+    Example: carina export ~/scans/thorax -o phantom.stl --phantom-print --wall-mm 1.6
     """
     with exit_codes(as_json):
-        from carina.cli.airways import write
+        from carina.cli.airways import PrintOptions, write
 
         raise SystemExit(
             write(
                 path,
+                printed=PrintOptions.of(
+                    wanted=phantom_print,
+                    wall_mm=wall_mm,
+                    open_tips=open_tips,
+                    no_names=no_names,
+                    build_mm=None if build_mm is None else parse_point(build_mm, "--build-mm"),
+                    least_wall_mm=least_wall_mm,
+                ),
                 output=output,
                 tree=tree,
                 from_mask=from_mask,

@@ -1,4 +1,4 @@
-"""The command that scores recorded flights."""
+"""The commands of training: scores of recorded flights, and nodules that are inserted into a CT."""
 
 from __future__ import annotations
 
@@ -112,3 +112,62 @@ def course(
         from carina.cli.course import report
 
         raise SystemExit(report(learner, export=export, delete=delete, yes=yes, as_json=as_json))
+
+
+def insert(
+    path: PathArgument,
+    output: Annotated[Path, typer.Option("-o", "--output", help="Marked CT to write: .nii.gz, .nii, .nrrd or .mha.")],
+    at: Annotated[
+        str, typer.Option("--at", help="Centre of the nodule, x,y,z in mm (LPS), or auto for a free position by seed.")
+    ] = "auto",
+    kind: Annotated[str, typer.Option("--kind", help="solid, part-solid or ground-glass.")] = "solid",
+    diameter_mm: Annotated[
+        float, typer.Option("--diameter-mm", help="Diameter of the ball of equal volume, 4 to 30 mm.")
+    ] = 10.0,
+    core_mm: Annotated[
+        float | None,
+        typer.Option("--core-mm", help="Diameter of the core of a part-solid nodule (default: half the diameter)."),
+    ] = None,
+    density_hu: Annotated[
+        float | None, typer.Option("--density-hu", help="Density in HU (default: 30 solid, -600 ground glass).")
+    ] = None,
+    spiculation: Annotated[
+        float, typer.Option("--spiculation", help="0 for a ball, up to 1 for lobes and spicules.")
+    ] = 0.0,
+    seed: Annotated[
+        int, typer.Option("--seed", help="Seed of the shape, of the noise and of the free position.", min=0)
+    ] = 0,
+    through_vessels: Annotated[
+        bool, typer.Option("--through-vessels", help="Allow a nodule that overlaps vessels.")
+    ] = False,
+    truth: Annotated[Path | None, typer.Option("--truth", help="File to write with the exact nodule: .json.")] = None,
+    series: SeriesOption = None,
+    ct: CtOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Insert a nodule into a CT for training. Every result of the new CT states that it is *inserted*.
+
+    Example: carina insert scan/ -o training.nii.gz --kind part-solid --diameter-mm 14 --seed 3
+    """
+    with exit_codes(as_json):
+        from carina.cli.arguments import parse_point
+        from carina.cli.insert import report
+
+        raise SystemExit(
+            report(
+                path,
+                output=output,
+                at_lps=None if at == "auto" else parse_point(at, "--at"),
+                kind=kind,
+                diameter_mm=diameter_mm,
+                core_mm=core_mm,
+                density_hu=density_hu,
+                spiculation=spiculation,
+                seed=seed,
+                through_vessels=through_vessels,
+                truth=truth,
+                series=series,
+                ct=ct,
+                as_json=as_json,
+            )
+        )

@@ -40,6 +40,7 @@ from carina.session.flights.film_flights import (
     wall_builder,
 )
 from carina.volume import Volume
+from carina.volume.inserted_structures import picture_mark
 
 SPEED_MM_S = 20.0
 PAUSE_S = 1.0
@@ -154,6 +155,7 @@ def report(
             frames,
             shown,
             captions=_captions(source, way, renderer, progress) if captions else None,
+            mark=picture_mark(volume.source),
             stored=stored,
             render_frames=render_frames,
             progress=progress,

@@ -17,6 +17,7 @@ from carina.render import TransferFunction, isoregion_labels, isoregion_note, op
 from carina.render.value_labels import EQUAL_BY, EqualBy, equal_by_name
 from carina.volume import GRID_SUFFIXES, Volume, check_grid_fits, write_grid
 from carina.volume.grid_headers import read_grid_header
+from carina.volume.inserted_structures import file_mark
 from carina.volume.isoregion_bundle import contains_map
 
 
@@ -102,6 +103,8 @@ def _write_map(
     identity = isoregion_note(volume, isoregion_labels(volume, chosen, equal_by=comparison), radii)
     note = f"{identity} IsoRegion radii in voxels, equal by {what}; the cube of a voxel has 2 r + 1 voxels on each side"
     if with_scan:
+        mark = file_mark(volume.source)
+        note = note if mark is None else f"{note}; {mark}"
         write_grid(output, volume.hu_zyx, volume.lps_from_ijk, what="the scan", note=note, before=radii)
     else:
         write_grid(output, radii, volume.lps_from_ijk, what="the IsoRegion map", note=note)

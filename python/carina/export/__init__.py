@@ -14,6 +14,7 @@ from carina.export.plan_file import PLAN_FORMATS, check_plan_file, export_plan
 from carina.export.plan_markups import write_plan_markups
 from carina.export.plan_nrrd import write_target_nrrd
 from carina.export.plan_openigtlink import PlanServer, plan_messages, send_plan
+from carina.export.printable_phantom import PrintablePhantom, printable_phantom
 from carina.export.tree_file import read_badges, read_tree, write_tree
 from carina.export.tree_formats import write_markups, write_swc, write_vtp
 from carina.export.video import VIDEO_SUFFIXES, VideoWriter
@@ -40,6 +41,7 @@ __all__ = [
     "ExportFormat",
     "Film",
     "PlanServer",
+    "PrintablePhantom",
     "VideoWriter",
     "check_export",
     "check_mask_file",
@@ -50,6 +52,7 @@ __all__ = [
     "export_tree",
     "is_tree_file",
     "plan_messages",
+    "printable_phantom",
     "read_badges",
     "read_tree",
     "send_plan",

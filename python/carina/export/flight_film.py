@@ -13,11 +13,12 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from carina.display.dot_letters import with_text_lines
 from carina.errors import CancelledError, UsageError
 from carina.export.video import VideoWriter
 from carina.navigate.recording import ReplayedPose
 from carina.render import AirwayView, Picture, TransferFunction, transfer_preset
-from carina.render.saved_picture import with_decoration_word, with_text_lines
+from carina.render.saved_picture import with_decoration_word
 from carina.scopes import ImageField, scope_preset
 
 MAX_FRAMES = 100_000
@@ -130,6 +131,7 @@ def write_frames(
     options: FrameOptions,
     *,
     captions: Callable[[ReplayedPose, float], Iterable[str]] | None = None,
+    mark: str | None = None,
     stored: FrameStore | None = None,
     render_frames: RenderFrames | None = None,
     progress: Callable[[str, float | None], None] | None = None,
@@ -150,6 +152,8 @@ def write_frames(
     captions
         Returns the lines of text in a frame at a time, s; None writes no text. A decorated frame contains the word
         *decorated* in either case.
+    mark
+        Line of text in every frame (``carina.volume.inserted_structures.picture_mark``); None for none.
     stored
         Store of finished images, which are not rendered again; new images are added.
     render_frames
@@ -171,6 +175,7 @@ def write_frames(
             if cancel is not None and cancel():
                 raise CancelledError("stopped while rendering the video")
             lines = () if captions is None else tuple(captions(frames[video.num_frames], video.duration_s))
+            lines = lines if mark is None else (mark, *lines)
             video.add(with_text_lines(rgb, lines) if lines else rgb)
         if progress is not None:
             progress("rendering frames", video.num_frames / len(frames))

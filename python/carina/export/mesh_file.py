@@ -22,10 +22,12 @@ from carina.export.header_notes import badge_lines
 from carina.track.surface.mesh import Mesh
 from carina.volume import Note
 
-_WORDS = "Carina airway lumen, space LPS, unit mm"
+_LUMEN = "airway lumen"
 
 
-def write_mesh(path: Path | str, mesh: Mesh, *, note: str | None = None, badges: Sequence[Note] = ()) -> Path:
+def write_mesh(
+    path: Path | str, mesh: Mesh, *, note: str | None = None, badges: Sequence[Note] = (), contents: str = _LUMEN
+) -> Path:
     """Write a surface in the format of the suffix: ``.stl``, ``.ply``, ``.obj`` or ``.glb``.
 
     STL, PLY and OBJ contain LPS millimetres, and their header states this. GLB requires metres with +y up: its vertices
@@ -40,6 +42,8 @@ def write_mesh(path: Path | str, mesh: Mesh, *, note: str | None = None, badges:
     badges
         Lasting notes of the case, also in the header. The header of an STL is too short; it only states that there are
         some.
+    contents
+        Name of the surface in the header.
 
     Returns
     -------
@@ -58,10 +62,10 @@ def write_mesh(path: Path | str, mesh: Mesh, *, note: str | None = None, badges:
         known = ", ".join(MESH_SUFFIXES)
         msg = f"saving a surface: expected a file name that ends in {known}; found {Path(path).name!r}"
         raise UsageError(msg)
-    return write_whole(path, _WRITERS[suffix](mesh, note, badge_lines(badges)), what="the surface")
+    return write_whole(path, _WRITERS[suffix](mesh, note, badge_lines(badges), contents), what="the surface")
 
 
-def _stl(mesh: Mesh, note: str | None, badges: list[str]) -> bytes:
+def _stl(mesh: Mesh, note: str | None, badges: list[str], contents: str) -> bytes:
     corners = mesh.vertices_lps[mesh.triangles]
     across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     lengths = np.linalg.norm(across, axis=1, keepdims=True)
@@ -70,17 +74,17 @@ def _stl(mesh: Mesh, note: str | None, badges: list[str]) -> bytes:
     rows["normal"] = np.divide(across, lengths, out=np.zeros_like(across), where=lengths > 0.0)
     rows["corners"] = corners
     # A header that begins with "solid" would mark a text STL. The header has 80 bytes.
-    words = f"{_WORDS}; SPACE=LPS" if not badges else "Carina airway lumen; unit mm; SPACE=LPS"
+    words = f"Carina {contents}{', space LPS, unit mm' if not badges else '; unit mm'}; SPACE=LPS"
     words += ("" if note is None else "; PART IS NOT FROM THE CT") + ("; IN DOUBT" if badges else "")
     return words.encode().ljust(80) + struct.pack("<I", len(rows)) + rows.tobytes()
 
 
-def _ply(mesh: Mesh, note: str | None, badges: list[str]) -> bytes:
+def _ply(mesh: Mesh, note: str | None, badges: list[str], contents: str) -> bytes:
     header = "\n".join(
         [
             "ply",
             "format binary_little_endian 1.0",
-            f"comment {_WORDS}",
+            f"comment Carina {contents}, space LPS, unit mm",
             *([] if note is None else [f"comment {note}"]),
             *(f"comment badge {line}" for line in badges),
             f"element vertex {len(mesh.vertices_lps)}",
@@ -98,16 +102,16 @@ def _ply(mesh: Mesh, note: str | None, badges: list[str]) -> bytes:
     return header.encode() + mesh.vertices_lps.astype("<f4").tobytes() + faces.tobytes()
 
 
-def _obj(mesh: Mesh, note: str | None, badges: list[str]) -> bytes:
+def _obj(mesh: Mesh, note: str | None, badges: list[str], contents: str) -> bytes:
     text = io.StringIO()
-    text.write(f"# {_WORDS}\n" + ("" if note is None else f"# {note}\n"))
+    text.write(f"# Carina {contents}, space LPS, unit mm\n" + ("" if note is None else f"# {note}\n"))
     text.write("".join(f"# badge {line}\n" for line in badges) + "o airways\n")
     np.savetxt(text, mesh.vertices_lps, fmt="v %.5f %.5f %.5f")
     np.savetxt(text, mesh.triangles.astype(np.int64) + 1, fmt="f %d %d %d")
     return text.getvalue().encode()
 
 
-def _glb(mesh: Mesh, note: str | None, badges: list[str]) -> bytes:
+def _glb(mesh: Mesh, note: str | None, badges: list[str], contents: str) -> bytes:
     points = mesh.vertices_lps.astype("<f4")
     corners = mesh.triangles.astype("<u4")
     payload = points.tobytes() + corners.tobytes()
@@ -164,7 +168,7 @@ def _glb(mesh: Mesh, note: str | None, badges: list[str]) -> bytes:
     return struct.pack("<III", 0x46546C67, 2, 12 + len(chunks)) + chunks
 
 
-_WRITERS: dict[str, Callable[[Mesh, str | None, list[str]], bytes]] = {
+_WRITERS: dict[str, Callable[[Mesh, str | None, list[str], str], bytes]] = {
     ".stl": _stl,
     ".ply": _ply,
     ".obj": _obj,

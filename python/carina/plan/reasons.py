@@ -12,6 +12,7 @@ from carina.plan.routes.ranking import MEDIASTINUM_MM
 from carina.plan.targets.edits import BRUSHED, RESIZED, SPHERE
 from carina.plan.turns.turn_list import TurnList
 from carina.plan.verdict.verdict import Verdict
+from carina.volume.inserted_structures import INSERTED_BEGINNING
 from carina.volume.model import Remark
 
 Severity = Literal["stop", "caution"]
@@ -160,7 +161,7 @@ def _of_tree(plan: Plan) -> _Parts:
         yield "plan.lost", plan.lost.words, "caution"
     for note in plan.notes:
         if note not in plan.movement.notes:
-            yield "plan.note", note, "caution"
+            yield "plan.note", note, "stop" if note.startswith(INSERTED_BEGINNING) else "caution"
 
 
 def _of_movement(plan: Plan) -> _Parts:

@@ -10,33 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carina.display import one_line
+from carina.display.dot_letters import DOTS_HIGH, TEXT_RGB, glyph_size, write_on
 from carina.errors import UsageError
 from carina.render.view_table import VIEWS
 from carina.render.views import Picture, PictureLines
 
-# Dots of the letters, 5 x 8: one byte for each column, the lowest bit is the top row.
-_DOTS = {
-    " '()+,-.": "0000000000 0008070300 001c224100 0041221c00 08083e0808 0080703000 0808080808 0000606000",
-    "/": "2010080402",
-    "%:;?": "2313086462 0000660000 0056360000 0201510906",
-    "01234567": "3e5149453e 00427f4000 7249494946 2141494d33 1814127f10 2745454539 3c4a494931 4121110907",
-    "89": "3649494936 464949291e",
-    "ABCDEFGH": "7c1211127c 7f49494936 3e41414122 7f4141413e 7f49494941 7f09090901 3e41415173 7f0808087f",
-    "IJKLM": "00417f4100 2040413f01 7f08142241 7f40404040 7f021c027f",
-    "NOPQRSTU": "7f0408107f 3e4141413e 7f09090906 3e4151215e 7f09192946 2649494932 03017f0103 3f4040403f",
-    "VWXYZ": "1f2040201f 3f4038403f 6314081463 0304780403 6159494d43",
-    "abcdefgh": "2054547840 7f28444438 3844444428 384444287f 3854545418 00087e0902 18a4a49c78 7f08040478",
-    "ijklm": "00447d4000 2040403d00 7f10284400 00417f4000 7c04780478",
-    "nopqrstu": "7c08040478 3844444438 fc18242418 18242418fc 7c08040408 4854545424 04043f4424 3c4040207c",
-    "vwxyz": "1c2040201c 3c4030403c 4428102844 4c9090907c 4464544c44",
-}
-_GLYPHS = {
-    letter: bytes.fromhex(columns)
-    for letters, dots in _DOTS.items()
-    for letter, columns in zip(letters, dots.split(), strict=True)
-}
-_ADVANCE, _HEIGHT = 6, 8
-TEXT_RGB, QUIET_RGB, _AXIS_RGB, _RADIUS_RGB = (230, 232, 234), (169, 177, 184), (79, 211, 230), (79, 211, 230)
+QUIET_RGB, _AXIS_RGB, _RADIUS_RGB = (169, 177, 184), (79, 211, 230), (79, 211, 230)
 DRAWN_RGB = (244, 180, 76)
 _DASH_ROWS = 10
 
@@ -104,12 +83,12 @@ def letters_at_edges(picture: Picture, size: int) -> Picture:
     sides = (inset, width - inset, height // 2)
     if lines is not None:
         # The axis occupies the left edge and the names the right edge.
-        sides = (width // 4, width - width // 4, inset + _HEIGHT * size // 2)
+        sides = (width // 4, width - width // 4, inset + DOTS_HIGH * size // 2)
     for direction, column, row, align in (
         (-right, sides[0], sides[2], 0.0),
         (right, sides[1], sides[2], 1.0),
-        (up, width // 2, inset + _HEIGHT * size // 2, 0.5),
-        (down, width // 2, height - inset - _HEIGHT * size // 2, 0.5),
+        (up, width // 2, inset + DOTS_HIGH * size // 2, 0.5),
+        (down, width // 2, height - inset - DOTS_HIGH * size // 2, 0.5),
     ):
         write_on(rgb, letters_of(direction), column, row, align=align, size=size)
     return dataclasses.replace(picture, rgb=rgb)
@@ -184,7 +163,7 @@ def mark_path(
         right = width - 3 * size
         rgb[start : start + size, max(right - 5 * size, 0) : right] = QUIET_RGB
         row = (start + end) // 2
-        if row - taken > (_HEIGHT + 2) * size:
+        if row - taken > (DOTS_HIGH + 2) * size:
             write_on(rgb, span.name, right, row, align=1.0, size=size, rgb_of=DRAWN_RGB if span.drawn else TEXT_RGB)
             taken = row
     return dataclasses.replace(picture, rgb=rgb)
@@ -208,61 +187,10 @@ def _draw_axis(
         gaps[:, None, None], picture.rgb[rows[drawn], left : left + size], DRAWN_RGB
     )
     per_px = (lines.path_mm[rows[-1]] - lines.path_mm[rows[0]]) / max(rows[-1] - rows[0], 1)
-    tick_mm = next(mm for mm in (1, 2, 5, 10, 20, 50, 100, 1000) if mm / max(per_px, 1e-6) >= 3 * _HEIGHT * size)
+    tick_mm = next(mm for mm in (1, 2, 5, 10, 20, 50, 100, 1000) if mm / max(per_px, 1e-6) >= 3 * DOTS_HIGH * size)
     first = int(np.ceil(lines.path_mm[rows[0]] / tick_mm - 1e-3))
     for place_mm in np.arange(first, lines.path_mm[rows[-1]] / tick_mm + 1e-3) * tick_mm:
         row = row_of(float(np.clip(place_mm, lines.path_mm[rows[0]], lines.path_mm[rows[-1]])))
         if row is not None:
             rgb[row : row + size, left : left + 5 * size] = _AXIS_RGB
             write_on(rgb, f"{place_mm:.0f} mm", left + 7 * size, row, size=size)
-
-
-def glyph_size(rgb: NDArray[np.uint8]) -> int:
-    """Return the size of a dot of a letter in a picture, in pixels, so that text is readable in large pictures."""
-    return 1 if min(rgb.shape[:2]) < 400 else max(2, min(rgb.shape[:2]) // 500)
-
-
-def text_width(text: str, size: int) -> int:
-    """Return the width of a text in pixels, for dots of ``size`` pixels."""
-    return max(_ADVANCE * len(text) - 1, 1) * size
-
-
-def text_height(size: int) -> int:
-    """Return the height of a line of text in pixels, for dots of ``size`` pixels."""
-    return _HEIGHT * size
-
-
-def write_on(
-    rgb: NDArray[np.uint8],
-    text: str,
-    column: int,
-    row: int,
-    *,
-    align: float = 0.0,
-    size: int = 1,
-    rgb_of: tuple[int, int, int] = TEXT_RGB,
-) -> None:
-    """Draw text, light on a dark edge and vertically centred on ``row``; parts outside the picture are cut off."""
-    dots = np.zeros((_HEIGHT, max(_ADVANCE * len(text) - 1, 1)), dtype=bool)
-    for n, letter in enumerate(text):
-        for m, bits in enumerate(_GLYPHS.get(letter, _GLYPHS["-"])):
-            dots[:, _ADVANCE * n + m] = [bits >> bit & 1 for bit in range(_HEIGHT)]
-    dots = np.pad(np.repeat(np.repeat(dots, size, axis=0), size, axis=1), 1)
-    edge = np.zeros_like(dots)
-    for across in (-1, 0, 1):
-        for along in (-1, 0, 1):
-            edge |= np.roll(np.roll(dots, across, axis=0), along, axis=1)
-    top, left = row - dots.shape[0] // 2, column - int(align * dots.shape[1])
-    height, width = rgb.shape[:2]
-    inside = (
-        slice(max(top, 0), min(top + dots.shape[0], height)),
-        slice(max(left, 0), min(left + dots.shape[1], width)),
-    )
-    part = (
-        slice(inside[0].start - top, inside[0].stop - top),
-        slice(inside[1].start - left, inside[1].stop - left),
-    )
-    if inside[0].start >= inside[0].stop or inside[1].start >= inside[1].stop:
-        return
-    rgb[inside][edge[part]] = (8, 10, 12)
-    rgb[inside][dots[part]] = rgb_of

@@ -13,18 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carina.display import one_line
-from carina.render.picture_text import (
-    DRAWN_RGB,
-    QUIET_RGB,
-    TEXT_RGB,
-    PathSpan,
-    glyph_size,
-    letter_edges,
-    mark_path,
-    text_height,
-    text_width,
-    write_on,
-)
+from carina.display.dot_letters import TEXT_RGB, glyph_size, text_height, text_width, write_on
+from carina.render.picture_text import DRAWN_RGB, QUIET_RGB, PathSpan, letter_edges, mark_path
 from carina.render.pictures import mark_tip
 from carina.render.view_table import VIEWS
 from carina.render.views import Picture
@@ -184,16 +174,6 @@ def with_names(picture: Picture, places: Iterable[NamedPlace], title: str | None
         write_on(rgb, place.text, left, row, size=size, rgb_of=DRAWN_RGB if place.doubtful else TEXT_RGB)
         taken.append(box)
     return dataclasses.replace(picture, rgb=rgb)
-
-
-def with_text_lines(rgb: NDArray[np.uint8], lines: Sequence[str]) -> NDArray[np.uint8]:
-    """Return a copy of an image with lines of text at the lower left."""
-    rgb = rgb.copy()
-    size = glyph_size(rgb)
-    high = text_height(size) + 2 * size
-    for n, line in enumerate(reversed(lines)):
-        write_on(rgb, line, 3 * size, rgb.shape[0] - 3 * size - high // 2 - n * high, size=size)
-    return rgb
 
 
 def _overlap(a: tuple[int, int, int, int], b: tuple[int, int, int, int]) -> bool:

@@ -28,6 +28,7 @@ from carina.argument_checks import (
 )
 from carina.disk import write_whole
 from carina.display import one_line
+from carina.display.dot_letters import with_text_lines
 from carina.display.png import png_bytes
 from carina.errors import RenderError, UsageError
 from carina.render.appearance import DecorationName, check_guides
@@ -36,6 +37,7 @@ from carina.render.view_values import Slab
 from carina.scopes import FULL_FRAME, PINHOLE, DepthOfField, ImageField, Lens, Optics, PathFrames, Pose, ScopePreset
 from carina.volume import Note
 from carina.volume.anatomical_planes import PLANES, Plane
+from carina.volume.inserted_structures import INSERTED, PICTURE_TEXT
 
 __all__ = [
     "AirwayView",
@@ -690,4 +692,7 @@ class Picture:
         if badges:
             rows = [{"code": badge.code, "words": badge.words} for badge in badges]
             words[BADGES_KEYWORD] = json.dumps(rows)
-        return png_bytes(np.ascontiguousarray(self.rgb), words)
+        rgb = self.rgb
+        if any(badge.code == INSERTED for badge in badges):
+            rgb = with_text_lines(rgb, [PICTURE_TEXT])  # visible, because other programs show no text chunk
+        return png_bytes(np.ascontiguousarray(rgb), words)

@@ -1,10 +1,11 @@
-"""Training: tasks, and the published scores of recorded flights."""
+"""Training: tasks, the published scores of recorded flights, and nodules that are inserted into a CT."""
 
 from carina.training.attempt_checks import AttemptDoubt
 from carina.training.course import Course, CourseAttempt, Learner, learner_files
 from carina.training.events import FlightEvent
 from carina.training.expert import BranchStay, FlightComparison, compare_flights
 from carina.training.flight_frames import FlightFrames, flight_frames
+from carina.training.insert_nodule import InsertedNodule, free_nodule_position, insert_nodule
 from carina.training.log_files import events_csv, flight_log, poses_csv, scores_csv, write_flight_log, xapi_statements
 from carina.training.mastery import REFERENCE_GROUPS, Mastery, ReferenceGroup, judge_mastery
 from carina.training.quiz import QuizKind, QuizQuestion, quiz_questions
@@ -27,6 +28,7 @@ __all__ = [
     "FlightEvent",
     "FlightFrames",
     "FlightScorer",
+    "InsertedNodule",
     "Learner",
     "Mastery",
     "QuizKind",
@@ -41,6 +43,8 @@ __all__ = [
     "find_task",
     "flight_frames",
     "flight_log",
+    "free_nodule_position",
+    "insert_nodule",
     "judge_mastery",
     "learner_files",
     "poses_csv",

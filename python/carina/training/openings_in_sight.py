@@ -64,7 +64,7 @@ def branch_openings(
     for branch_id in branch_ids:
         branch = tree.branch(branch_id)
         fork = branch.points[0]
-        middle = ForkWalls(tree, fork, [branch_id]).mouths_lps[0]
+        middle = ForkWalls(tree, fork, [branch_id]).own_mouths_lps[0]
         along = middle - fork
         if float(np.linalg.norm(along)) < SHORT_MM:
             along = branch.points[-1] - fork
@@ -198,8 +198,7 @@ def _visible_pixels(
 def _visible_share(opening: BranchOpening, camera: Points, lens: Optics, fov_deg: float, wall: WallField) -> float:
     """Return the share of an opening's area that is in the picture and that the wall does not hide."""
     eye, lps_from_camera = camera[:3, 3], camera[:3, :3]
-    across = np.linalg.svd(opening.dir_lps[None])[2][1:]
-    ways = opening.middle_lps + opening.radius_mm * _spiral() @ across - eye
+    ways = opening.middle_lps + opening.radius_mm * _spiral() @ _disk_axes(opening.dir_lps) - eye
     depth = np.linalg.norm(ways, axis=1)
     rays = ways / np.maximum(depth, 1e-9)[:, None]
     in_camera = rays @ lps_from_camera
@@ -209,6 +208,13 @@ def _visible_share(opening: BranchOpening, camera: Points, lens: Optics, fov_deg
     if int(shown.sum()) < MIN_CLEAR_SHARE * DISK_POINTS:
         return 0.0
     return int(_lines_in_lumen(eye, rays[shown], depth[shown], wall).sum()) / DISK_POINTS
+
+
+def _disk_axes(direction: Points) -> Points:
+    """Return the axes (2, 3) of a disk across a direction, as docs/training.md defines them."""
+    right = np.cross(direction, (1.0, 0.0, 0.0) if abs(direction[0]) < 0.9 else (0.0, 1.0, 0.0))
+    right /= np.linalg.norm(right)
+    return np.stack([right, np.cross(right, direction)])
 
 
 @functools.cache

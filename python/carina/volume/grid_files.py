@@ -14,6 +14,7 @@ from carina.volume.grid_headers import GridHeader, read_grid_header
 from carina.volume.grid_second_reader import read_geometry
 from carina.volume.grid_voxels import read_voxels
 from carina.volume.hu import judge_values, to_int16
+from carina.volume.inserted_structures import marked_structures, with_inserted
 from carina.volume.isoregion_bundle import check_bundle, contains_map
 from carina.volume.model import Note, Volume, VolumeSource
 from carina.volume.padding import without_corner_padding
@@ -122,15 +123,16 @@ def open_grid_file(path: Path, format: str, *, watch: Watch) -> Volume:  # noqa:
     finds_padding = verdict.is_hu and not is_bundle
     hu, padding = without_corner_padding(converted.values) if finds_padding else (converted.values, ())
     watch.step("Converting the values", 1.0)
+    source = VolumeSource(
+        format=format,
+        title=printable(path.name),
+        notes=notes + converted.notes + padding,
+        slice_thickness_mm=stated_thickness_mm(path),
+    )
     return Volume(
         hu,
         header.lps_from_ijk,
         is_hu=reason is None,
         not_hu_reason=reason,
-        source=VolumeSource(
-            format=format,
-            title=printable(path.name),
-            notes=notes + converted.notes + padding,
-            slice_thickness_mm=stated_thickness_mm(path),
-        ),
+        source=with_inserted(source, marked_structures(header.head)),
     )

@@ -112,6 +112,8 @@ class VolumeSource:
     """Indices k of slices that were missing in the files and were interpolated; a badge names them."""
     tilt_deg: float | None = None
     """Gantry tilt in degrees that was corrected by resampling, with a badge; None for a scan without tilt."""
+    inserted: tuple[str, ...] = ()
+    """Descriptions of structures that were inserted for training (`carina.insert_nodule`), with a badge."""
 
     @property
     def warnings(self) -> tuple[str, ...]:

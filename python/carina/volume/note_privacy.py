@@ -9,6 +9,7 @@ ABOUT_THE_SCAN = "import."
 WITHOUT_NAMES = frozenset(
     {
         "import.clipped",
+        "import.inserted",
         "import.lossy",
         "import.not-numbers",
         "import.orientation-doubted",

@@ -3,7 +3,7 @@
 import { Fragment } from "react";
 import { Button } from "react-aria-components";
 import { keyOf } from "../input/keymap";
-import { withoutHuNote } from "../state/badges";
+import { isInserted, withoutHuNote } from "../state/badges";
 import { plural, sentence } from "../state/format";
 import { STEP_TEXTS, STEPS } from "../state/steps";
 import { trainingLayout } from "../state/training";
@@ -14,6 +14,15 @@ import { Act, Tip } from "./controls";
 import { SavedText } from "./SavedText";
 
 const NONE: readonly CaseNote[] = [];
+
+/** Render the text beside the title of a CT with an inserted nodule. */
+function InsertedText() {
+  return (
+    <strong className="badge warning plain-text" data-testid="inserted">
+      Inserted nodule
+    </strong>
+  );
+}
 
 /** Render the top bar. */
 export function TopBar() {
@@ -34,6 +43,7 @@ export function TopBar() {
       <header className="top-bar">
         <h1>Carina</h1>
         <p className="case-title">{title}</p>
+        {badges.some(isInserted) ? <InsertedText /> : null}
         {doubts.length === 0 ? null : (
           <Tip words={doubts.map(({ words }) => sentence(words)).join(" ")}>
             <Button className="badge warning">{plural(doubts.length, "finding")}</Button>
@@ -49,6 +59,7 @@ export function TopBar() {
     <header className="top-bar">
       <h1>Carina</h1>
       <CaseTitle title={title} neutral={neutral} ctName={ctName} />
+      {badges.some(isInserted) ? <InsertedText /> : null}
       <SavedText />
       {page === null ? null : (
         <Tip words="Your patient's images are on the network. Open Devices to see who is watching, or to stop sharing.">

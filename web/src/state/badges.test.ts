@@ -1,5 +1,5 @@
 import { expect, test } from "vitest";
-import { findingsOf, withoutHuNote } from "./badges";
+import { findingsOf, isInserted, withoutHuNote } from "./badges";
 
 const NOT_HU = { code: "import.not-hu", words: "not HU: 8 bits", badge: true };
 const CLIPPED = { code: "import.clipped", words: "9 voxels were clipped", badge: true };
@@ -16,4 +16,10 @@ test("findingsOf lists doubts first, including those of the airways, and no text
     "slices are coarse",
     "two series",
   ]);
+});
+
+test("isInserted recognises the note on an inserted nodule alone.", () => {
+  expect(
+    [NOT_HU, CLIPPED, { code: "import.inserted", words: "inserted: a nodule", badge: true }].map(isInserted),
+  ).toEqual([false, false, true]);
 });

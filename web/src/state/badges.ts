@@ -2,6 +2,11 @@
 
 import type { CaseNote } from "../wire/messages";
 
+/** Return whether a note states that a nodule was inserted into the CT. */
+export function isInserted({ code }: CaseNote): boolean {
+  return code === "import.inserted";
+}
+
 /** Return the notes except "not HU", which has a separate badge and text. */
 export function withoutHuNote(badges: readonly CaseNote[]): readonly CaseNote[] {
   return badges.filter(({ code }) => code !== "import.not-hu");

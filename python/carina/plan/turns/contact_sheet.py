@@ -9,10 +9,11 @@ from math import ceil, sqrt
 import numpy as np
 from numpy.typing import NDArray
 
+from carina.display.dot_letters import TEXT_RGB, text_height, text_width, write_on
 from carina.errors import NoResultError
 from carina.plan.turns.pictures import TurnPicture
 from carina.plan.turns.texts import place_words
-from carina.render.picture_text import DRAWN_RGB, QUIET_RGB, TEXT_RGB, text_height, text_width, write_on
+from carina.render.picture_text import DRAWN_RGB, QUIET_RGB
 
 NOT_A_DEVICE = "Not a medical device. Not for diagnosis."
 GAP_PX = 16

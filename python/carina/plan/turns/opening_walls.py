@@ -154,6 +154,11 @@ class ForkWalls:
         self._others = list(parts[OTHER_BRANCH])
         self.mouths_lps: list[Points] = []
         """For each branch the point of its centreline at which it begins, (3,) LPS mm."""
+        self.own_mouths_lps: list[Points] = []
+        """For each branch the point at which its own centreline begins, (3,) LPS mm.
+
+        Its subtree counts only if no point of its own centreline has left the lumens of the other branches.
+        """
         self.axes_lps: list[Points] = []
         """For each branch the points (n, 3) of its centreline from this beginning on, LPS mm."""
         for n, branch_id in enumerate(branch_ids):
@@ -174,6 +179,8 @@ class ForkWalls:
             self.mouths_lps.append(np.asarray(nearest, dtype=np.float64))
             # A branch includes its subtree; the first tube is the branch's own centreline.
             axis = self._tubes[n][0][0] if self._tubes[n] else beyond[:0]
+            own = axis[int(np.argmin(np.linalg.norm(axis - fork, axis=1)))] if len(axis) else nearest
+            self.own_mouths_lps.append(np.asarray(own, dtype=np.float64))
             away = np.linalg.norm(axis - self.mouths_lps[n], axis=1)
             self.axes_lps.append(axis[int(np.argmin(away)) :] if len(axis) else axis)
 

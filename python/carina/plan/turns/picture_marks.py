@@ -7,9 +7,9 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from carina.display.dot_letters import write_on
 from carina.plan.turns.fork_view import Operator
 from carina.plan.turns.turn_list import Turn
-from carina.render.picture_text import write_on
 
 Field = NDArray[np.float64]
 Rgb = NDArray[np.uint8]

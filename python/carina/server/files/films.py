@@ -26,6 +26,7 @@ from carina.server.files.one_shot_file import StoredFileResponse, new_folder
 from carina.session import Session
 from carina.session.flights.film_flights import FilmFlight, flight_captions
 from carina.session.jobs.background_jobs import Job
+from carina.volume.inserted_structures import picture_mark
 
 WAIT_S = 15.0
 """Time after which the answer to a request for an unfinished video states that the video is not ready."""
@@ -232,6 +233,7 @@ class Films:
                 frames,
                 FrameOptions(order.size, DEFAULT_SCOPE, FULL_STEP_VOX),
                 captions=captions,
+                mark=picture_mark(flight.volume.source),
                 progress=job.progress,
                 cancel=job.cancel,
             )

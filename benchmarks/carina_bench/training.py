@@ -1,0 +1,308 @@
+"""``python -m carina_bench.training``: ranking of five classes of scripted drivers by the scores of training.
+
+Each class flies once on each case (phantoms by seed, and the bundled CT); the seed of a flight is that of the case. A
+score ranks two classes with the probability that the better class has the better value, over all pairs of their
+flights; equal values count half. ``GAPS`` names the pairs that the literature separates by each score, and its source
+(`docs/training.md`). The independent scorer of the tests scores the same recordings.
+
+The drivers are scripts, not people: their speeds, pauses and mistakes are assumptions of this file.
+"""
+
+from __future__ import annotations
+
+import argparse
+import io
+import json
+import sys
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import carina
+from carina.navigate.recording import read_recording
+from carina.phantom import generate_phantom
+from carina.scopes import WallField
+from carina.track import AirwayTree
+from carina.training import SEGMENTS, Score, find_task, flight_frames, score_flight, segments_of_case
+from carina.training.openings_in_sight import branch_openings, openings_in_sight
+from carina.volume import Volume
+
+__all__ = ["CLASSES", "GAPS", "TrainingCase", "cases", "flown", "probability"]
+
+SPACING_MM, NOISE_HU, WALL_MM = 1.1, 25.0, 0.6
+"""Spacing and noise of the phantoms, and spacing of the field of distances to the wall."""
+LEAST_PROBABILITY = 0.99
+MOST_OPTIMAL_S = 120.0
+COMPARED = {"clock-start", "seen", "visit", "revisit", "progress", "contact", "clock-end"}
+"""Kinds of events in which both scorers must agree."""
+LOBES = (("RB1", "RB2", "RB3"), ("RB4", "RB5"), ("RB6", "RB7", "RB8", "RB9", "RB10"), ("LB1+2", "LB3"), ("LB4", "LB5"),
+         ("LB6", "LB8", "LB9", "LB10"))  # fmt: skip
+"""Segments of each lobe; the lingula counts as one."""
+Gap = tuple[str, str]
+
+
+@dataclass(frozen=True, slots=True)
+class _Measure:
+    """One value of a score, its direction, and the pairs of classes that it separates by the literature."""
+
+    name: str
+    more_is_better: bool
+    gaps: tuple[Gap, ...]
+    """Pairs (better, worse)."""
+    source: str
+
+
+_NOVICES = (("optimal", "experienced"), ("experienced", "novice"), ("optimal", "novice"), ("optimal", "random"))
+GAPS: tuple[_Measure, ...] = (
+    _Measure("diagnostic_completeness", True, (*_NOVICES, ("experienced", "random")), "BronchoBot study, Cold 2025"),
+    _Measure("structured_progress", True, (*_NOVICES, ("experienced", "random")), "BronchoBot study, Cold 2025"),
+    _Measure("procedure_time_s", False, _NOVICES[:3], "BronchoBot study, Cold 2025"),
+    _Measure("mean_intersegmental_time_s", False, _NOVICES[:3], "BronchoBot study, Cold 2025"),
+    _Measure("segments_revisited", False, (("optimal", "novice"), ("experienced", "novice")), "Agbontaen 2025"),
+    _Measure("num_contacts", False, (("optimal", "wall-hugging"), ("experienced", "wall-hugging")), "Moorthy 2003"),
+    _Measure("path_mm_per_segment", False, (("optimal", "novice"),), "Moorthy 2003"),
+    _Measure("lumen_in_middle", True, (("optimal", "novice"), ("experienced", "novice")), "Nature Communications 2023"),
+)
+
+
+def _scripts() -> Any:
+    """Return the scripted flights and the independent scorer of the tests."""
+    folder = Path(__file__).resolve().parents[2] / "tests" / "training"
+    if str(folder) not in sys.path:
+        sys.path.insert(0, str(folder))
+    import independent_scorer  # type: ignore[import-untyped, import-not-found, unused-ignore]
+    import scripted_flights  # type: ignore[import-untyped, import-not-found, unused-ignore]
+
+    return scripted_flights, independent_scorer
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TrainingCase:
+    """A case on which the drivers fly."""
+
+    name: str
+    seed: int
+    volume: Volume
+    tree: AirwayTree
+    wall: WallField
+    parts: dict[str, tuple[str, ...]]
+    """Names of the branches of each segment of the case, in ascending order; several if its parts arise separately."""
+
+    @property
+    def segments(self) -> tuple[str, ...]:
+        """Segments of the case, in ascending order."""
+        return tuple(self.parts)
+
+
+def cases(num: int) -> Iterator[TrainingCase]:
+    """Yield the bundled CT, then phantoms with the seeds 1, 2, ...; airways are those that Carina finds."""
+    for seed in range(num):
+        if seed == 0:
+            volume, name = carina.demo_patient(), "bundled CT"
+        else:
+            volume = generate_phantom(seed=seed, spacing_mm=SPACING_MM, noise_hu=NOISE_HU, progress=False).volume
+            name = f"phantom {seed}"
+        airways = carina.find_airways(volume, progress=False)
+        wall = carina.wall_field(volume, airways, spacing_mm=WALL_MM, progress=False)
+        parts = {
+            one.name: tuple(str(airways.tree.branch(number).name) for number in one.branch_ids)
+            for one in segments_of_case(airways.tree)
+        }
+        _scripts()[1].forget_cases()
+        yield TrainingCase(name, seed, volume, airways.tree, wall, parts)
+
+
+def _optimal(script: Any, case: TrainingCase, _rng: np.random.Generator) -> None:
+    """Inspect all segments in ascending order at 60 mm/s, and hold each for 1.2 s.
+
+    Where less than half of an opening is in the picture from before the fork, the driver enters the segment instead.
+    """
+    for name in case.segments:
+        for part in case.parts[name]:
+            before = len(script.poses)
+            script.inspect(part)
+            if not _held_in_sight(script.poses[before:], case, part):
+                script.enter(part, depth_mm=3.0)
+
+
+def _held_in_sight(poses: list[np.ndarray], case: TrainingCase, part: str) -> bool:
+    """Return whether the opening of a branch is in sight, by the rules of the score, at the last pose."""
+    scripts, _ = _scripts()
+    (branch,) = [one for one in case.tree.branches if one.name == part][:1]
+    frames = flight_frames(scripts.recording_of([poses[-1]] * 3, case.volume))
+    openings = branch_openings(case.tree, [branch.id], case.wall)
+    return bool(openings_in_sight(frames, openings, case.wall, first=0, last=0).in_sight[0, 0])
+
+
+def _inspect(script: Any, case: TrainingCase, name: str, **options: float) -> None:
+    """Inspect the openings of all parts of a segment."""
+    for part in case.parts[name]:
+        script.inspect(part, **options)
+
+
+def _experienced(script: Any, case: TrainingCase, rng: np.random.Generator) -> None:
+    """Inspect the segments lobe by lobe, the lobes in a random order, without the two of the middle lobe or lingula."""
+    lobes = [one for one in LOBES if one != LOBES[1 if rng.random() < 0.5 else 4]]
+    for number in rng.permutation(len(lobes)):
+        for name in lobes[int(number)]:
+            if name in case.parts:
+                _inspect(script, case, name)
+
+
+def _novice(script: Any, case: TrainingCase, rng: np.random.Generator) -> None:
+    """Enter the segments of half of the lobes in a random order, slowly, with an unsteady view, and return to some."""
+    lobes = [LOBES[int(number)] for number in rng.permutation(len(LOBES))[: len(LOBES) // 2]]
+    some = [name for lobe in lobes for name in lobe if name in case.parts]
+    order = [some[int(number)] for number in rng.permutation(len(some))]
+    for name in (*order, *order[: int(rng.integers(2, 4))]):
+        script.enter(case.parts[name][0])
+        script.wait(float(rng.uniform(2.0, 6.0)))
+    _sway(script.poses, rng)
+
+
+def _sway(poses: list[np.ndarray], rng: np.random.Generator) -> None:
+    """Turn the view of each pose by an angle that wanders, with a standard deviation of 25 degrees."""
+    angles = np.zeros(2)
+    for n, pose in enumerate(poses):
+        angles = 0.9 * angles + np.sqrt(1.0 - 0.9**2) * np.radians(25.0) * rng.standard_normal(2)
+        about_x, about_y = angles
+        turn_x = np.array([[1, 0, 0], [0, np.cos(about_x), -np.sin(about_x)], [0, np.sin(about_x), np.cos(about_x)]])
+        turn_y = np.array([[np.cos(about_y), 0, np.sin(about_y)], [0, 1, 0], [-np.sin(about_y), 0, np.cos(about_y)]])
+        poses[n] = pose.copy()
+        poses[n][:3, :3] = pose[:3, :3] @ turn_x @ turn_y
+
+
+def _wall_hugging(script: Any, case: TrainingCase, rng: np.random.Generator) -> None:
+    """Inspect half of the segments in ascending order; the tip hits the wall above it for one of every two seconds."""
+    for name in sorted(rng.choice(case.segments, size=len(case.segments) // 2, replace=False), key=SEGMENTS.index):
+        _inspect(script, case, str(name))
+    for n, pose in enumerate(script.poses):
+        if n % 20 >= 10:
+            script.poses[n] = _at_the_wall(pose, case.wall)
+
+
+def _at_the_wall(pose: np.ndarray, wall: WallField) -> np.ndarray:
+    """Return a pose moved up until its point is 0.05 mm from the wall; unchanged if it is nearer already."""
+    up = -pose[:3, 1]
+    reach = np.arange(0.0, 20.0, 0.05)
+    away = wall.distance_mm(pose[:3, 3] + reach[:, None] * up)
+    beyond = np.flatnonzero(away < 0.05)
+    moved = pose.copy()
+    moved[:3, 3] += max(0.0, float(reach[beyond[0]]) - 0.05 if len(beyond) else 0.0) * up
+    return moved
+
+
+CLASSES: dict[str, tuple[Callable[[Any, TrainingCase, np.random.Generator], None], dict[str, float]]] = {
+    "optimal": (_optimal, {"speed_mm_s": 60.0, "hold_s": 1.2}),
+    "experienced": (_experienced, {"speed_mm_s": 30.0, "hold_s": 2.5}),
+    "novice": (_novice, {"speed_mm_s": 18.0, "hold_s": 3.0}),
+    "wall-hugging": (_wall_hugging, {"speed_mm_s": 40.0, "hold_s": 1.5}),
+}
+"""Drivers with speed and duration of a hold; the fifth class moves at random."""
+
+
+def flown(case: TrainingCase, driver: str) -> str:
+    """Return the text of the recording of a driver's flight on a case."""
+    scripts, _ = _scripts()
+    if driver == "random":
+        return str(scripts.recording_text(scripts.random_flight(case.tree, 100 + case.seed), case.volume))
+    drive, options = CLASSES[driver]
+    script = scripts.Script(case.tree, **options)
+    script.start(min(40.0, 0.5 * case.tree.root.length_mm))
+    drive(script, case, np.random.default_rng([case.seed, *driver.encode()]))
+    return str(scripts.recording_text(script.poses, case.volume))
+
+
+def values_of(score: Score) -> dict[str, float]:
+    """Return the values of a score by the names of `GAPS`."""
+    document = score.to_json()
+    found = {**document["published"], **document["without_mark"]}
+    found["path_mm_per_segment"] = score.path_length_mm / max(score.diagnostic_completeness, 0.5)
+    return {one.name: float("inf") if found[one.name] is None else float(found[one.name]) for one in GAPS}
+
+
+def agreement(text: str, case: TrainingCase, score: Score) -> str:
+    """Return an empty text if the independent scorer finds the same events and values, else the first difference."""
+    _, independent = _scripts()
+    expected = independent.independent_score(text, case.tree, case.wall)
+    found = sorted((one.time_s, one.kind, one.name) for one in score.events if one.kind in COMPARED)
+    if found != expected.pop("events"):
+        return "events differ"
+    values = {**score.to_json()["published"], **score.to_json()["without_mark"]}
+    for name, value in expected.items():
+        same = values[name] == value if value is None else np.isclose(values[name], value, rtol=1e-9, atol=0.0)
+        if not same:
+            return f"{name}: {values[name]} and {value}"
+    return ""
+
+
+def probability(better: list[float], worse: list[float], *, more_is_better: bool) -> float:
+    """Return the probability that a value of the better class beats one of the worse class; equal values count half."""
+    a, b = np.array(better)[:, None], np.array(worse)[None, :]
+    sign = 1.0 if more_is_better else -1.0
+    with np.errstate(invalid="ignore"):
+        ahead = np.where(a == b, 0.5, np.where(sign * a > sign * b, 1.0, 0.0))
+    return float(ahead.mean())
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Fly and score all classes on all cases, print each flight as it ends, and print the ranking."""
+    parser = argparse.ArgumentParser(prog="python -m carina_bench.training", description=__doc__)
+    parser.add_argument("--cases", type=int, default=20, help="number of cases: the bundled CT and phantoms by seed")
+    parser.add_argument("--compare", type=int, default=10, help="number of cases for the independent scorer")
+    parser.add_argument("--json", type=Path, default=None, help="file for all values")
+    options = parser.parse_args(arguments)
+    task = find_task("inspect-all")
+    rows: dict[str, list[dict[str, float]]] = {name: [] for name in (*CLASSES, "random")}
+    optimal: list[bool] = []
+    compared, differing = 0, 0
+    for number, case in enumerate(cases(options.cases)):
+        for driver, found in rows.items():
+            began = time.process_time()
+            text = flown(case, driver)
+            score = score_flight(
+                case.tree, case.wall, flight_frames(read_recording(io.StringIO(text), Path("flight"))), task
+            )
+            found.append(values_of(score))
+            same = "not compared"
+            if number < options.compare:
+                problem = agreement(text, case, score)
+                compared, differing = compared + 1, differing + bool(problem)
+                same = problem or "equal"
+            print(
+                f"{case.name:12} {driver:12} DC {score.diagnostic_completeness:2} of {score.num_case_segments:2}  SP "
+                f"{score.structured_progress:2}  PT {score.procedure_time_s:5.0f} s  SR {score.segments_revisited:2}  "
+                f"contacts {len(score.contacts):3}  doubts {','.join(one.code for one in score.doubts) or '-'}  "
+                f"independent scorer: {same}  ({time.process_time() - began:.1f} s of processor time)",
+                flush=True,
+            )
+            if driver == "optimal":
+                whole = score.diagnostic_completeness == score.structured_progress == len(SEGMENTS)
+                optimal.append(whole and score.procedure_time_s < MOST_OPTIMAL_S and not score.doubts)
+    print(f"\noptimal drive: 18 of 18 in order, under {MOST_OPTIMAL_S:.0f} s, without doubt: {sum(optimal)} of "
+          f"{len(optimal)} cases")  # fmt: skip
+    print(f"recordings scored equally by both scorers: {compared - differing} of {compared}")
+    ranks = []
+    for measure in GAPS:
+        for better, worse in measure.gaps:
+            chance = probability(
+                [one[measure.name] for one in rows[better]],
+                [one[measure.name] for one in rows[worse]],
+                more_is_better=measure.more_is_better,
+            )
+            ranks.append({"score": measure.name, "better": better, "worse": worse, "probability": chance})
+            print(f"{measure.name:28} {better:12} before {worse:12} {chance:.3f}  ({measure.source})")
+    reached = sum(one["probability"] > LEAST_PROBABILITY for one in ranks)
+    print(f"{reached} of {len(ranks)} pairs above {LEAST_PROBABILITY}")
+    if options.json is not None:
+        document = {"flights": rows, "ranks": ranks, "gaps": [asdict(one) for one in GAPS]}
+        options.json.write_text(json.dumps(document, indent=1), encoding="utf-8")
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
