@@ -307,8 +307,8 @@ def main(arguments: list[str] | None = None) -> int:
           f"{sum(abs(one - 1.0) <= 0.05 for one in shares)} within 5 %")  # fmt: skip
     real_rows = np.array([one for _, one in samples["real"]])
     print("medians of the features: " + ", ".join(FEATURES))
-    for name, rows in samples.items():
-        print(f"  {name:10} " + "  ".join(f"{one:7.3f}" for one in np.median([row for _, row in rows], axis=0)))
+    for name, numbered in samples.items():
+        print(f"  {name:10} " + "  ".join(f"{one:7.3f}" for one in np.median([row for _, row in numbered], axis=0)))
     for name in ("matched", "unmatched"):
         rows = np.array([one for _, one in samples[name]])
         groups = np.array([number for number, _ in samples[name]] * 2)

@@ -36,7 +36,7 @@ __all__ = ["CLASSES", "GAPS", "TrainingCase", "cases", "flown", "probability"]
 SPACING_MM, NOISE_HU, WALL_MM = 1.1, 25.0, 0.6
 """Spacing and noise of the phantoms, and spacing of the field of distances to the wall."""
 LEAST_PROBABILITY = 0.99
-MOST_OPTIMAL_S = 120.0
+MAX_OPTIMAL_S = 120.0
 COMPARED = {"clock-start", "seen", "visit", "revisit", "progress", "contact", "clock-end"}
 """Kinds of events in which both scorers must agree."""
 LOBES = (("RB1", "RB2", "RB3"), ("RB4", "RB5"), ("RB6", "RB7", "RB8", "RB9", "RB10"), ("LB1+2", "LB3"), ("LB4", "LB5"),
@@ -282,11 +282,11 @@ def main(arguments: list[str] | None = None) -> int:
             )
             if driver == "optimal":
                 whole = score.diagnostic_completeness == score.structured_progress == len(SEGMENTS)
-                optimal.append(whole and score.procedure_time_s < MOST_OPTIMAL_S and not score.doubts)
-    print(f"\noptimal drive: 18 of 18 in order, under {MOST_OPTIMAL_S:.0f} s, without doubt: {sum(optimal)} of "
+                optimal.append(whole and score.procedure_time_s < MAX_OPTIMAL_S and not score.doubts)
+    print(f"\noptimal drive: 18 of 18 in order, under {MAX_OPTIMAL_S:.0f} s, without doubt: {sum(optimal)} of "
           f"{len(optimal)} cases")  # fmt: skip
     print(f"recordings scored equally by both scorers: {compared - differing} of {compared}")
-    ranks = []
+    ranks: list[dict[str, Any]] = []
     for measure in GAPS:
         for better, worse in measure.gaps:
             chance = probability(
