@@ -314,7 +314,7 @@ def cast(
     background: tuple[float, float, float] = ...,
     leap: NDArray[np.uint8]
     | tuple[NDArray[np.uint8], NDArray[np.uint8], list[int]]
-    | tuple[NDArray[np.uint16], list[int]]
+    | tuple[NDArray[np.uint16], list[int], bool]
     | None = None,
     simd: str | None = None,
     stop: CancelToken | None = None,
@@ -326,7 +326,6 @@ def cast(
     decoration: Decoration | None = None,
     always_leap: bool = False,
     bricks: Bricks | None = None,
-    prefetch: bool = False,
 ) -> tuple[NDArray[np.uint8], tuple[int, int, int, int, int, int, int]]:
     """Cast rows of a picture; return (rows, width, 3) colours and statistics.
 

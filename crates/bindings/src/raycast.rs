@@ -258,7 +258,7 @@ type PyStats = (u64, u64, u64, u64, u64, u64, u64);
 /// Map for leaps as passed from Python.
 ///
 /// The variants are the radius map alone; labels, radius map and one value of each class for leaps over all classes;
-/// words of labels and radii and one value of each label for leaps over values.
+/// words of labels and radii, one value of each label, and whether words are prefetched, for leaps over values.
 #[derive(FromPyObject)]
 enum LeapMap<'py> {
     Classes(
@@ -266,7 +266,7 @@ enum LeapMap<'py> {
         PyReadonlyArray3<'py, u8>,
         Vec<i32>,
     ),
-    Values(PyReadonlyArray3<'py, u16>, Vec<i32>),
+    Values(PyReadonlyArray3<'py, u16>, Vec<i32>, bool),
     Transparent(PyReadonlyArray3<'py, u8>),
 }
 
@@ -360,7 +360,7 @@ const fn interpolation(nearest: bool) -> Interpolation {
 #[pyo3(signature = (
     hu_zyx, lps_from_ijk, table, lps_from_camera, *, fov_rad, width, height, rows=None, light=None, nearest=false,
     background=[0.0; 3], leap=None, simd=None, stop=None, lens=None, darken=true, gpu=None,
-    stop_transparency=None, appearance=None, always_leap=false, bricks=None, decoration=None, prefetch=false
+    stop_transparency=None, appearance=None, always_leap=false, bricks=None, decoration=None
 ))]
 fn cast<'py>(
     py: Python<'py>,
@@ -386,7 +386,6 @@ fn cast<'py>(
     always_leap: bool,
     bricks: Option<Bound<'py, Bricks>>,
     decoration: Option<PyDecoration<'py>>,
-    prefetch: bool,
 ) -> PyResult<(Bound<'py, PyArray3<u8>>, PyStats)> {
     let grid = grid(&hu_zyx, &lps_from_ijk)?;
     let volume = VolumeView::new(values("hu_zyx", &hu_zyx)?, &grid).map_err(IntoPy::into_py)?;
@@ -430,12 +429,12 @@ fn cast<'py>(
         Some(LeapMap::Transparent(radius)) => {
             Method::LeapTransparent(values("radius_zyx", radius)?)
         }
-        Some(LeapMap::Values(words, label_values)) => {
+        Some(LeapMap::Values(words, label_values, prefetch)) => {
             segments = tables.segments(label_values);
             Method::LeapValues(ValueMap {
                 words: values("words_zyx", words)?,
                 segments: &segments,
-                prefetch,
+                prefetch: *prefetch,
             })
         }
         Some(LeapMap::Classes(labels, radius, class_values)) => {

@@ -85,7 +85,7 @@ pub(crate) trait Bricks {
     /// Return the number of bricks on each axis.
     fn num(&self) -> [usize; 3];
     /// Return the position of a point in bricks.
-    fn from_lps(&self, p_lps: [f64; 3]) -> [f64; 3];
+    fn position_in_bricks(&self, p_lps: [f64; 3]) -> [f64; 3];
     /// Return the point at a position in bricks, LPS mm.
     fn to_lps(&self, at: [f64; 3]) -> [f64; 3];
     /// Return the least sampled distance in a block of a brick, mm.
@@ -358,7 +358,7 @@ fn bricks_near(part: &Part, margin: f64, bricks: &impl Bricks) -> Option<[(usize
             };
             part.from[a] + end * part.along[a] + side
         });
-        let at = bricks.from_lps(p);
+        let at = bricks.position_in_bricks(p);
         for a in 0..3 {
             low[a] = low[a].min(at[a]);
             high[a] = high[a].max(at[a]);

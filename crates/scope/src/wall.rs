@@ -399,7 +399,7 @@ impl Bricks for WallField {
         self.num_bricks
     }
 
-    fn from_lps(&self, p_lps: [f64; 3]) -> [f64; 3] {
+    fn position_in_bricks(&self, p_lps: [f64; 3]) -> [f64; 3] {
         self.lattice_from_lps.point(p_lps).map(|v| v / CELLS as f64)
     }
 

@@ -129,7 +129,7 @@ class AirwayCaster:
         step_vox = 1.0 if nearest else view.step_vox
         shading = _needs_shading(scene, view)
         appearance = _appearance(scene, view) if shading else None
-        method, leap = _choose_method(scene, view, shading)
+        method, leap = _choose_method(scene, view, shading, prefetch=prefetch)
         lens = _lens_or_mask_rays(view)
         if rows is not None and view.depth_of_field is not None:
             raise RenderError("depth of field needs the whole image, not only some of its rows", code="render.setting")
@@ -154,7 +154,6 @@ class AirwayCaster:
             gpu=gpu,
             stop_transparency=view.stop_transparency,
             always_leap=leaps is True or view.method == "leap-always",
-            prefetch=prefetch,
             bricks=self._shared_bricks(scene),
         )
         method = method if gpu is None else f"gpu-{method}"
@@ -272,12 +271,12 @@ def _shown_decorations(scene: Scene, appearance: Appearance | None) -> tuple[Dec
 
 
 def _choose_method(
-    scene: Scene, view: AirwayView, shading: bool
+    scene: Scene, view: AirwayView, shading: bool, *, prefetch: bool = False
 ) -> tuple[
     str,
     NDArray[np.uint8]
     | tuple[NDArray[np.uint8], NDArray[np.uint8], list[int]]
-    | tuple[NDArray[np.uint16], list[int]]
+    | tuple[NDArray[np.uint16], list[int], bool]
     | None,
 ]:
     """Return the casting method that a scene's present maps allow, and the maps that the method reads.
@@ -289,7 +288,7 @@ def _choose_method(
     if not shading and scene.class_maps is not None:
         maps = scene.class_maps
         if isinstance(maps, ValueMaps):
-            return "leap-all", (maps.words, maps.label_values)
+            return "leap-all", (maps.words, maps.label_values, prefetch)
         return "leap-all", (maps.labels, maps.radius, maps.class_values)
     if scene.maps is not None:
         return "leap", scene.maps.radius
