@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import sys
+import threading
 
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ from cached_test_data import cached_phantom
 from carina import commands as c
 from carina.errors import UsageError
 from carina.notebook import case_view
+from carina.session.state.snapshot import Changed
 from carina.volume import Note
 from carina.volume.model import VolumeSource
 
@@ -182,6 +184,30 @@ def test_change_by_another_cell_is_reported_once_answered_changes_are_not(page):
     assert [content["kind"] for content, _ in page.received] == ["pictures"]
     page.view.case.do(c.SetTexture(on=False))
     assert "changed" in [content["kind"] for content, _ in page.received]
+
+
+def test_change_by_another_thread_during_an_answer_is_reported_after_it(page, monkeypatch):
+    finish = case_view.finish_case_picture
+
+    def change_meanwhile(*args, **named):
+        other = threading.Thread(target=page.view._on_event, args=(Changed(frozenset({"views"})),))
+        other.start()
+        other.join()
+        return finish(*args, **named)
+
+    page.request()
+    before = len(page.received)
+    monkeypatch.setattr(case_view, "finish_case_picture", change_meanwhile)
+    content = {"number": "a-1", "sizes": SIZES, "still": True, "move": [0, 0, 0, 0], "actions": []}
+    page.view._on_message(page.view.widget, content, [])
+    assert [content["kind"] for content, _ in page.received[before:]] == ["pictures", "changed"]
+
+
+def test_number_of_actions_in_a_request_is_limited(page):
+    page.request()
+    steps = [{"kind": "slices", "view": "axial", "steps": [0]}] * case_view.MAX_ACTIONS
+    answer, _ = page.request(*steps, {"kind": "unknown"})
+    assert answer["problem"] is None
 
 
 def test_badges_of_the_ct_are_shown(volume):

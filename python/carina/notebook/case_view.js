@@ -73,6 +73,8 @@ function render({ model, el }) {
   element(root, "div", "keys", KEYS);
 
   const gestures = new Gestures();
+  // A widget can be displayed several times, and each page receives the answers to all of them.
+  const page = Math.random().toString(36).slice(2);
   const cells = new Map();
   const timers = new Set();
   let number = 0;
@@ -106,7 +108,7 @@ function render({ model, el }) {
     const wanted = sizes();
     if (Object.keys(wanted).length === 0) return;
     number += 1;
-    const sent = number;
+    const sent = `${page}-${number}`;
     waiting = { number: sent, isStill: isStillDue };
     isStale = false;
     model.send({ number: sent, sizes: wanted, still: isStillDue, ...gestures.take() });
@@ -181,7 +183,7 @@ function render({ model, el }) {
     } else if (content.kind === "pictures" && content.number === waiting?.number) {
       void show(content, buffers).then(() => {
         waiting = null;
-        root.dataset.shown = String(content.number);
+        root.dataset.shown = content.number.split("-")[1];
         send();
       });
     }

@@ -37,6 +37,8 @@ logger = logging.getLogger(__name__)
 
 DEFAULT_VIEWS = (LEAD_VIEW, *PLANES)
 MAX_VIEWS = 6
+MAX_ACTIONS = 100
+"""Number of actions in one request; later ones are ignored."""
 PIXELS = (32, 2048)
 """Least and greatest width and height of a picture."""
 MOVING_QUALITY, STILL_QUALITY = 80, 95
@@ -114,7 +116,9 @@ class CaseView:
         self._views = views
         self._pictures: dict[str, Picture] = {}
         self._lock = threading.Lock()
-        self._is_answering = False
+        self._answering_thread: int | None = None
+        self._has_changed = False
+        """Whether another thread changed the case while a request was answered."""
         self._is_closed = False
         layout = [{"view": name, "title": VIEWS[name].title, "is_plane": VIEWS[name].pick == "plane"} for name in views]
         self._widget = widget_class(views=layout, height=height_px)
@@ -157,7 +161,10 @@ class CaseView:
 
     def _on_event(self, event: Event) -> None:
         """Request new pictures from the page after a change that another cell or window has made."""
-        if isinstance(event, Changed) and not self._is_answering and not self._is_closed:
+        if not isinstance(event, Changed) or self._is_closed or self._answering_thread == threading.get_ident():
+            return
+        self._has_changed = True
+        if self._answering_thread is None:
             self._widget.send({"kind": "changed"})
 
     def _on_message(self, _widget: Any, content: Any, _buffers: Any) -> None:
@@ -165,7 +172,7 @@ class CaseView:
         if self._is_closed or not isinstance(content, Mapping):
             return
         with self._lock:
-            self._is_answering = True
+            self._answering_thread, self._has_changed = threading.get_ident(), False
             try:
                 problem = self._execute(content)
                 rows, data = self._render_all(content)
@@ -178,9 +185,11 @@ class CaseView:
                 problem = f"internal error in Carina ({type(error).__name__})"
                 rows, data, line, badges = [], [], "", []
             finally:
-                self._is_answering = False
+                self._answering_thread = None
         answer = {"number": content.get("number"), "views": rows, "line": line, "badges": badges, "problem": problem}
         self._widget.send({"kind": "pictures", **answer}, data)
+        if self._has_changed:
+            self._widget.send({"kind": "changed"})
 
     def _execute(self, content: Mapping[str, Any]) -> str | None:
         """Execute the movements and actions of a request; return the message of the first error."""
@@ -190,7 +199,8 @@ class CaseView:
                 turns = [float(np.clip(turn, -MAX_TURN_RAD, MAX_TURN_RAD)) for turn in move[1:]]
                 advance_mm = float(np.clip(move[0], -MAX_ADVANCE_MM, MAX_ADVANCE_MM))
                 self._case.do(c.Steer(advance_mm, *turns))
-            for action in content.get("actions") or ():
+            actions = content.get("actions")
+            for action in actions[:MAX_ACTIONS] if isinstance(actions, list) else ():
                 self._act(action)
         except CarinaError as error:
             return str(error)
@@ -216,7 +226,7 @@ class CaseView:
         elif kind == "slices":
             self._move_slice(str(action.get("view")), _numbers(action.get("steps"), 1))
         else:
-            raise UsageError(f"the notebook sent an unknown action: {kind!r}", code="notebook.action")
+            raise UsageError(f"the notebook sent an unknown action: {shown(kind)}", code="notebook.action")
 
     def _move_slice(self, view: str, steps: Sequence[float] | None) -> None:
         """Move the point that the slices show along the normal of a slice, by a number of voxels."""
