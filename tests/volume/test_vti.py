@@ -150,7 +150,7 @@ def test_time_for_repeated_beginnings_of_tags_is_limited(tmp_path, text):
 
 def test_tags_in_a_comment_are_not_read(tmp_path):
     path = tmp_path / "scan.vti"
-    write_vti(path, chest())
+    write_vti(path, chest(), "raw-zlib")
     text = path.read_bytes()
     comment = b"<!-- " + b"x" * 100_000 + b' <ImageData WholeExtent="0 1 0 1 0 1"> -->'
     at = text.index(b"<PointData")
