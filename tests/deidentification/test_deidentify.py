@@ -273,6 +273,63 @@ def test_mask_blackens_only_images_that_may_show_text(tmp_path):
         assert header.get("BurnedInAnnotation") == ("NO" if is_masked else None)
 
 
+def hide(value: bytes):
+    """Return edits that hide a text in places without an attribute for text."""
+
+    def in_a_nested_picture(dataset, _index):
+        item = Dataset()
+        item.Rows, item.Columns, item.BitsAllocated = 4, 4, 8
+        item.add_new(0x7FE00010, "OB", value)
+        dataset.BasicGrayscaleImageSequence = Sequence([item])
+
+    def behind_the_pixels(dataset, _index):
+        dataset.PixelData += value
+
+    def in_the_modality(dataset, _index):
+        dataset.add_new(0x00080060, "CS", value.decode())
+
+    def in_an_unknown_attribute(dataset, _index):
+        dataset.add_new(0x00189999, "CS", value.decode().upper())
+
+    return [in_a_nested_picture, behind_the_pixels, in_the_modality, in_an_unknown_attribute]
+
+
+@pytest.mark.filterwarnings("ignore:Invalid value")
+@pytest.mark.parametrize("edit", hide(b"Li^Bo 12 CRED 77"), ids=lambda edit: edit.__name__)
+def test_text_in_hidden_places_is_removed(tmp_path, edit):
+    source = series(tmp_path / "scan", edit, hu=chest()[:2])
+    assert b"12 CRED 77" in all_bytes(source)
+    assert carina.deidentify(source, tmp_path / "copy").num_images == 2
+    assert b"12 CRED 77" not in all_bytes(tmp_path / "copy")
+
+
+def test_mask_outside_of_the_image_refuses_the_image(tmp_path):
+    source = series(tmp_path / "scan", burn, hu=chest()[:2])
+    with pytest.raises(VolumeImportError, match="a rectangle of the mask is outside of it"):
+        carina.deidentify(source, tmp_path / "copy", mask=[(0, 0, 8, 8), (5000, 0, 10, 10)])
+    assert not (tmp_path / "copy").exists()
+
+
+def test_frames_that_the_header_does_not_count_are_not_copied(tmp_path):
+    def twice(dataset, index):
+        burn(dataset, index)
+        dataset.PixelData *= 2
+
+    source = series(tmp_path / "scan", twice, hu=chest()[:1])
+    carina.deidentify(source, tmp_path / "copy", mask=[(0, 0, 5000, 5000)])
+    (path,) = (tmp_path / "copy").rglob("*.dcm")
+    copy = dcmread(path)
+    assert len(copy.PixelData) == copy.Rows * copy.Columns * 2
+    assert len(np.unique(copy.pixel_array)) == 1
+
+
+@pytest.mark.parametrize("keyword", ["SOPInstanceUID", "SOPClassUID", "Rows"])
+def test_incomplete_image_does_not_end_the_run(tmp_path, keyword):
+    source = series(tmp_path / "scan", lambda d, i: delattr(d, keyword) if i == 1 else None, hu=chest()[:3])
+    found = carina.deidentify(source, tmp_path / "copy")
+    assert (found.num_images, [count for _, count in found.refused]) == (2, [1])
+
+
 def test_archive_is_copied_and_other_files_are_counted(tmp_path):
     series(tmp_path / "scan", hu=chest()[:3], name=lambda i: f"Secret-{i}.dcm")
     with zipfile.ZipFile(tmp_path / "scan.zip", "w") as archive:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import stat
 import sys
 from types import ModuleType
@@ -74,6 +75,13 @@ def test_damaged_settings_are_refused(tmp_path):
         PacsConnections(tmp_path).all()
 
 
+def test_invalid_saved_connection_is_left_out(tmp_path):
+    PacsConnections(tmp_path).save(PacsConnection("a", host="a.example"))
+    values = json.loads((tmp_path / "pacs.json").read_text())
+    (tmp_path / "pacs.json").write_text(json.dumps({**values, "b": {"url": 5}, "c": 7}))
+    assert [one.name for one in PacsConnections(tmp_path).all()] == ["a"]
+
+
 def test_repr_of_a_connection_has_no_password():
     assert "geheim" not in repr(PacsConnection("a", url="https://a.example", user="u", password="geheim-1"))
 
@@ -90,6 +98,9 @@ def test_repr_of_a_connection_has_no_password():
         {"name": "a", "host": "x", "called_ae": "SEVENTEEN-LETTERS"},
         {"name": "a", "host": "x", "calling_ae": " "},
         {"name": "a", "url": "ftp://x"},
+        {"name": "a", "url": "http://["},
+        {"name": "a", "url": 5},
+        {"name": "a", "host": "x", "tls": True, "listen_port": 11112},
         {"name": "a", "url": "https://u:p@x.example"},
     ],
 )

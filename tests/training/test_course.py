@@ -174,6 +174,31 @@ def test_damaged_file_is_reported_and_never_changed(tmp_path, text):
     assert damaged.read_text() == text
 
 
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda file: file["attempts"][0]["values"].update(diagnostic_completeness=float("nan")),
+        lambda file: file["attempts"][0]["values"].update(diagnostic_completeness=float("inf")),
+        lambda file: file["attempts"][0]["values"].update(procedure_time_s=10**400),
+        lambda file: file["attempts"][0].update(num_steps=10**400),
+        lambda file: file["attempts"][0]["statements"][0].update(result=float("-inf")),
+        lambda file: file["attempts"][0].update(title="half \ud800"),
+        lambda file: file.update(name="screen \x1b[2J"),
+        lambda file: file.update(name="half \ud800"),
+    ],
+)
+def test_values_that_cannot_be_shown_or_exported_are_damage(tmp_path, scores, change):
+    course = Course(tmp_path)
+    course.add("one")
+    course.record("one", scores[0])
+    (path,) = tmp_path.iterdir()
+    file = json.loads(path.read_text())
+    change(file)
+    path.write_text(json.dumps(file))
+    assert Course(tmp_path).learners() == ()
+    assert len(Course(tmp_path).problems()) == 1
+
+
 def test_attempt_on_a_full_disk_leaves_the_stored_attempts(tmp_path, scores, monkeypatch):
     course = Course(tmp_path)
     course.add("one")

@@ -60,9 +60,9 @@ def tarred(path: Path, files: dict[str, bytes], mode: str = "w") -> Path:
     return path
 
 
-def seven_zipped(path: Path, files: dict[str, bytes]) -> Path:
+def seven_zipped(path: Path, files: dict[str, bytes], options: str = "") -> Path:
     libarchive = pytest.importorskip("libarchive", reason="needs the extra sevenzip")
-    with libarchive.file_writer(str(path), "7zip") as archive:
+    with libarchive.file_writer(str(path), "7zip", options=options) as archive:
         for name, content in files.items():
             archive.add_file_from_memory(name, len(content), [content])
     return path
@@ -287,6 +287,17 @@ def test_changed_byte_of_a_7z_archive_is_refused(tmp_path, scan, at):
     data[int(at * len(data)) if isinstance(at, float) else at] ^= 0x10
     path.write_bytes(data)
     assert refusal(path).code in ("import.archive.damaged", "import.archive.not-supported")
+
+
+def test_changed_voxel_of_an_uncompressed_7z_archive_is_refused(tmp_path, scan):
+    """Only the checksum shows such a damage."""
+    path = seven_zipped(tmp_path / "scan.7z", scan, options="compression=store")
+    data = bytearray(path.read_bytes())
+    at = data.find(next(iter(scan.values()))[-100:])
+    assert at > 0
+    data[at + 50] ^= 0x10
+    path.write_bytes(data)
+    assert refusal(path).code == "import.archive.damaged"
 
 
 def test_archive_without_images_is_refused_by_its_name(tmp_path):

@@ -38,7 +38,8 @@ def test_folder_of_one_volume_with_its_description_opens(bids):
 
 @pytest.mark.parametrize("text", ["", "[", "[1]", "{}", '{"SliceThickness": "1.25"}', '{"SliceThickness": true}',
                                   '{"SliceThickness": NaN}', '{"SliceThickness": 0}', '{"SliceThickness": 99}',
-                                  "[" * 100_000, '{"SliceThickness": 1e999}'])  # fmt: skip
+                                  '{"SliceThickness": 1' + "0" * 400 + "}", "[" * 100_000,
+                                  '{"SliceThickness": 1e999}'])  # fmt: skip
 def test_json_file_without_a_plausible_thickness_is_ignored(bids, text):
     _, file, sidecar = bids
     sidecar.write_text(text)

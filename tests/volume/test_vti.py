@@ -138,6 +138,26 @@ def test_claim_of_a_huge_image_is_refused_without_memory(tmp_path):
         assert found.value.code in ("import.truncated", "import.too-large")
 
 
+@pytest.mark.parametrize("text", [b"<!--", b"<!-- <!-- ", b'<a b="', b"<"], ids=["comment", "text", "quote", "tag"])
+def test_time_for_repeated_beginnings_of_tags_is_limited(tmp_path, text):
+    """A search from each of the beginnings to the end would not finish within the time limit of the tests."""
+    path = tmp_path / "scan.vti"
+    path.write_bytes(b'<VTKFile type="ImageData">' + text * ((8 << 20) // len(text)))
+    with pytest.raises(VolumeImportError) as found:
+        inspect_path(path)
+    assert found.value.code in ("import.header", "import.tags")
+
+
+def test_tags_in_a_comment_are_not_read(tmp_path):
+    path = tmp_path / "scan.vti"
+    write_vti(path, chest(), "raw-zlib")
+    text = path.read_bytes()
+    comment = b"<!-- " + b"x" * 100_000 + b' <ImageData WholeExtent="0 1 0 1 0 1"> -->'
+    at = text.index(b"<PointData")
+    path.write_bytes(text[:at] + comment + text[at:])
+    np.testing.assert_array_equal(open_volume(path).hu_zyx, chest())
+
+
 def test_several_arrays_without_a_named_one_are_refused(tmp_path):
     more = '<DataArray type="Int8" Name="b" format="ascii">0</DataArray>\n'
     path = write_vti(tmp_path / "ct.vti", chest(), "ascii", more=more)

@@ -21,6 +21,8 @@ from carina.pacs import (
 
 def add(name: str, values: dict[str, Any], *, as_json: bool) -> int:
     """Save a connection; the password of a user is asked at a terminal, or read from standard input."""
+    if values["ca_file"]:
+        values = {**values, "ca_file": str(Path(values["ca_file"]).expanduser().absolute())}
     connection = PacsConnection(name, **values)
     if connection.user:
         if sys.stdin.isatty():
@@ -29,6 +31,8 @@ def add(name: str, values: dict[str, Any], *, as_json: bool) -> int:
             password = sys.stdin.readline().rstrip("\r\n")
         connection = PacsConnection(name, **values, password=password)
     PacsConnections().save(connection)
+    if connection.user and connection.url.startswith("http:"):
+        print_note("note: http sends the password and the images without encryption; use https if the PACS offers it")
     if as_json:
         print_json(_connection_json(connection))
     else:

@@ -7,12 +7,14 @@ from collections.abc import Sequence
 import numpy as np
 from pydicom.dataset import Dataset
 
-__all__ = ["Box", "burned_in_reason", "mask_boxes"]
+__all__ = ["Box", "burned_in_reason", "cut_pixels", "is_outside", "mask_boxes"]
 
 Box = tuple[int, int, int, int]
 """Rectangle of pixels: column and row of its first pixel, width and height."""
 
 _SECONDARY_CAPTURE = "1.2.840.10008.5.1.4.1.1.7"
+_TEXT_CLASSES = tuple(f"1.2.840.10008.5.1.4.1.1.{kind}" for kind in ("3.1", "6.1", "6.2", "77.1."))
+"""Beginnings of the classes of ultrasound, video and photographs, for files without a modality."""
 _WITH_TEXT = ("US", "IVUS", "ES", "XC", "GM", "SM", "OT", "SC", "DOC", "DG", "SD", "HC", "ECG", "EPS", "HD", "IO")
 """Modalities whose images usually show text: ultrasound, video, photographs, captured screens, documents."""
 _SCREENS = ("SCREEN SAVE", "DOSE_INFO", "DOSE INFO", "SCREENSAVE", "CAPTURE", "PATIENT PROTOCOL")
@@ -25,6 +27,8 @@ def burned_in_reason(dataset: Dataset) -> str | None:
     kind = _text(dataset, "SOPClassUID")
     if kind == _SECONDARY_CAPTURE or kind.startswith(f"{_SECONDARY_CAPTURE}.") or _text(dataset, "ConversionType"):
         return "it is a secondary capture (a picture of a screen or of a film)"
+    if kind.startswith(_TEXT_CLASSES):
+        return "images of its class (ultrasound, video, photographs) usually show text"
     modality = _text(dataset, "Modality")
     if modality in _WITH_TEXT:
         return f"images of the modality {modality} usually show text"
@@ -34,6 +38,33 @@ def burned_in_reason(dataset: Dataset) -> str | None:
     if int(dataset.get("SamplesPerPixel") or 1) > 1:
         return "it is a colour image, as captured screens are"
     return None
+
+
+def is_outside(dataset: Dataset, boxes: Sequence[Box]) -> bool:
+    """Return whether a rectangle contains no pixel of an image."""
+    return any(x >= int(dataset.Columns) or y >= int(dataset.Rows) for x, y, _, _ in boxes)
+
+
+def cut_pixels(dataset: Dataset) -> None:
+    """Remove bytes behind the last pixel, which may contain anything; the pixels must be uncompressed.
+
+    Raises
+    ------
+    ValueError
+        If there are fewer pixels than the header states.
+    """
+    count = int(dataset.get("NumberOfFrames") or 1) * int(dataset.Rows) * int(dataset.Columns)
+    samples = int(dataset.get("SamplesPerPixel") or 1)
+    for keyword, bits in (("PixelData", None), ("FloatPixelData", 32), ("DoubleFloatPixelData", 64)):
+        if keyword not in dataset:
+            continue
+        stored = bytes(dataset[keyword].value)
+        size = (count * samples * (bits or int(dataset.BitsAllocated)) + 7) // 8
+        if len(stored) < size and _text(dataset, "PhotometricInterpretation") == "YBR_FULL_422":
+            size = size * 2 // 3  # two pixels share their colour
+        if size <= 0 or len(stored) < size:
+            raise ValueError("fewer pixels than the header states")
+        dataset[keyword].value = stored[:size] + b"\0" * (size % 2)
 
 
 def mask_boxes(dataset: Dataset, boxes: Sequence[Box]) -> None:
@@ -47,6 +78,8 @@ def mask_boxes(dataset: Dataset, boxes: Sequence[Box]) -> None:
     rows, columns = int(dataset.Rows), int(dataset.Columns)
     samples = int(dataset.get("SamplesPerPixel") or 1)
     kind = "i" if int(dataset.PixelRepresentation) else "u"
+    if int(dataset.BitsAllocated) % 8:
+        raise ValueError("pixels that are not whole bytes")
     dtype = np.dtype(f"<{kind}{int(dataset.BitsAllocated) // 8}")
     count = int(dataset.get("NumberOfFrames") or 1) * rows * columns * samples
     values = np.frombuffer(dataset.PixelData, dtype, count).copy()

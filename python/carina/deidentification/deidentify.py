@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import os
 import secrets
 import shutil
@@ -16,7 +17,7 @@ from pydicom.dataset import Dataset, FileMetaDataset
 from pydicom.uid import PYDICOM_IMPLEMENTATION_UID, UID, ExplicitVRLittleEndian
 
 from carina.argument_checks import check_arguments, file_path, function, text_of
-from carina.deidentification.burned_in_text import Box, burned_in_reason, mask_boxes
+from carina.deidentification.burned_in_text import Box, burned_in_reason, cut_pixels, is_outside, mask_boxes
 from carina.deidentification.profile_actions import clean_dataset
 from carina.deidentification.pseudonyms import Pseudonyms
 from carina.disk import create_folders, disk_trouble, sync_folder
@@ -34,6 +35,7 @@ from carina.volume.scan_place import scan_place
 __all__ = ["DeidentifiedImages", "deidentify"]
 
 _MAX_BOXES = 64
+_OUTSIDE = "it may show text, and a rectangle of the mask is outside of it"
 _PIXELS = ("PixelData", "FloatPixelData", "DoubleFloatPixelData")
 
 
@@ -99,7 +101,7 @@ def deidentify(
         Name and ID of the patient in the copies; further patients get a number.
     mask
         Rectangles ``(x, y, width, height)`` in pixels that are blackened in images that may show text. Without
-        rectangles these images are refused.
+        rectangles these images are refused, as are those that do not contain every rectangle at least in part.
     progress
         False, True or ``f(what, fraction)``. True or None shows a progress bar in a terminal or a notebook. The
         fraction is None where it is unknown.
@@ -234,7 +236,11 @@ class _Run:
             self._refused[reason] += 1
             return
         try:
+            if reason is not None and is_outside(dataset, self._boxes):
+                self._refused[_OUTSIDE] += 1
+                return
             _decompress(dataset)
+            cut_pixels(dataset)
             _clear_overlay_bits(dataset)
             if reason is not None:
                 mask_boxes(dataset, self._boxes)
@@ -242,25 +248,21 @@ class _Run:
         except Exception:
             self._refused["its pixels cannot be decoded"] += 1
             return
+        try:
+            content = _encoded(dataset)
+        except Exception:
+            self._refused["an attribute of its header is missing or damaged"] += 1
+            return
         self._num_masked += reason is not None
-        self._save(dataset, draft)
+        self._save(str(dataset.get("SeriesInstanceUID") or ""), content, draft)
 
-    def _save(self, dataset: Dataset, draft: Path) -> None:
-        series = str(dataset.get("SeriesInstanceUID") or "")
+    def _save(self, series: str, content: bytes, draft: Path) -> None:
         known = self._series.setdefault(series, [])
         number = list(self._series).index(series) + 1
         folder = draft / f"series-{number:03d}"
         folder.mkdir(exist_ok=True)
         known.append("")
-        meta = FileMetaDataset()
-        meta.MediaStorageSOPClassUID = UID(str(dataset.get("SOPClassUID") or ""))
-        meta.MediaStorageSOPInstanceUID = UID(str(dataset.get("SOPInstanceUID") or ""))
-        meta.TransferSyntaxUID = ExplicitVRLittleEndian
-        meta.ImplementationClassUID = PYDICOM_IMPLEMENTATION_UID
-        clean = Dataset(dataset)
-        clean.file_meta = meta
-        clean.preamble = bytes(128)
-        clean.save_as(folder / f"image-{len(known):05d}.dcm", enforce_file_format=True)
+        (folder / f"image-{len(known):05d}.dcm").write_bytes(content)
 
     def _nothing_written(self) -> VolumeImportError:
         if self._refused:
@@ -277,6 +279,21 @@ class _Run:
         )
 
 
+def _encoded(dataset: Dataset) -> bytes:
+    """Return the file of a cleaned data set."""
+    meta = FileMetaDataset()
+    meta.MediaStorageSOPClassUID = UID(str(dataset.get("SOPClassUID") or ""))
+    meta.MediaStorageSOPInstanceUID = UID(str(dataset.get("SOPInstanceUID") or ""))
+    meta.TransferSyntaxUID = ExplicitVRLittleEndian
+    meta.ImplementationClassUID = PYDICOM_IMPLEMENTATION_UID
+    clean = Dataset(dataset)
+    clean.file_meta = meta
+    clean.preamble = bytes(128)
+    buffer = io.BytesIO()
+    clean.save_as(buffer, enforce_file_format=True)
+    return buffer.getvalue()
+
+
 def _decompress(dataset: Dataset) -> None:
     """Convert the pixels to uncompressed little-endian values."""
     syntax = dataset.file_meta.TransferSyntaxUID if "TransferSyntaxUID" in dataset.file_meta else None
@@ -288,8 +305,6 @@ def _decompress(dataset: Dataset) -> None:
         width = int(dataset.BitsAllocated) // 8
         if width > 1:
             dataset.PixelData = np.frombuffer(dataset.PixelData, f">u{width}").astype(f"<u{width}").tobytes()
-    if len(dataset.PixelData) % 2:
-        dataset.PixelData += b"\0"
 
 
 def _clear_overlay_bits(dataset: Dataset) -> None:

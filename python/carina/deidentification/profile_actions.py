@@ -11,6 +11,7 @@ import warnings
 from collections.abc import Iterator
 from typing import Any
 
+from pydicom.datadict import dictionary_has_tag
 from pydicom.dataelem import DataElement
 from pydicom.dataset import Dataset
 from pydicom.sequence import Sequence
@@ -23,6 +24,7 @@ from carina.version import VERSION
 __all__ = ["clean_dataset"]
 
 _PATIENT_NAME, _PATIENT_ID, _MODALITY, _PHOTOMETRIC = 0x00100010, 0x00100020, 0x00080060, 0x00280004
+_PIXEL_GROUP = 0x7FE0
 _DUMMIES: dict[str, Any] = {
     "DA": "19000101", "DT": "19000101000000", "TM": "000000", "AS": "000Y", "DS": "0", "IS": "0",
     **dict.fromkeys(("AE", "CS", "LO", "LT", "PN", "SH", "ST", "UC", "UT"), "ANONYMIZED"),
@@ -122,8 +124,7 @@ def _clean(dataset: Dataset, names: Pseudonyms, terms: frozenset[str], *, enhanc
         elif action == "U" and element.VR == "UI":
             _replace_uids(element, names)
         elif action == "X/Z/U*" and element.VR == "SQ":
-            for item in element.value:
-                _clean(item, names, terms, enhanced=enhanced)
+            _clean_items(element, names, terms, enhanced=enhanced)
         elif action == "Z" or (enhanced and action in ("X/Z", "Z/D")) or action == "Z/D":
             _empty(element)
         elif (action == "D" or (enhanced and action in ("X/D", "X/Z/D"))) and element.VR in _DUMMIES:
@@ -131,6 +132,14 @@ def _clean(dataset: Dataset, names: Pseudonyms, terms: frozenset[str], *, enhanc
         else:
             del dataset[tag]
     _clean_code(dataset)
+
+
+def _clean_items(element: DataElement, names: Pseudonyms, terms: frozenset[str], *, enhanced: bool) -> None:
+    """Clean the items of a sequence; pictures in them (icons, prints), whose text no mask covers, are removed."""
+    for item in element.value:
+        for tag in [tag for tag in item.keys() if tag.group == _PIXEL_GROUP]:  # noqa: SIM118 - a data set is no dict
+            del item[tag]
+        _clean(item, names, terms, enhanced=enhanced)
 
 
 def _clean_code(item: Dataset) -> None:
@@ -152,9 +161,10 @@ def _is_removed_group(tag: BaseTag) -> bool:
 def _clean_unlisted(element: DataElement, names: Pseudonyms, terms: frozenset[str], *, enhanced: bool) -> bool:
     """Clean an attribute that the table does not list; return whether it stays."""
     kind, tag = str(element.VR), int(element.tag)
+    if not dictionary_has_tag(tag):
+        return False
     if kind == "SQ":
-        for item in element.value:
-            _clean(item, names, terms, enhanced=enhanced)
+        _clean_items(element, names, terms, enhanced=enhanced)
         return True
     if kind == "UI":
         _replace_uids(element, names)
@@ -170,7 +180,7 @@ def _clean_unlisted(element: DataElement, names: Pseudonyms, terms: frozenset[st
         )
     if kind == "CS":
         if tag in (_MODALITY, _PHOTOMETRIC):
-            return True
+            return all(_CODE.fullmatch(value) for value in values)  # "MONO" may be part of a name
         return all(_CODE.fullmatch(value) for value in values) and not _names_somebody(values, terms)
     return kind in _TEXT and tag in KEPT_TEXT and not _names_somebody(values, terms)
 

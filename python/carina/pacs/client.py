@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import re
+import warnings
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 from pydicom.dataset import Dataset
+from pydicom.multival import MultiValue
 
 from carina.argument_checks import check_arguments, file_path, function, instance, text_of, whole_from
 from carina.display.progress import ProgressChoice, progress_function, shows_progress
@@ -219,6 +221,7 @@ def retrieve_series(
             raise PacsError(
                 f"{connection.name}: the PACS has no images of this series; search again", code="pacs.no-images"
             )
+        _check_count(connection, study_uid, series_uid, len(images), cancel)
         resumed = sum(uid in place for uid in images)
         client.retrieve(study_uid, series_uid, images, place, watch)
         missing = sum(uid not in place for uid in images)
@@ -228,7 +231,7 @@ def retrieve_series(
                 "the missing images",
                 code="pacs.incomplete",
             )
-        place.complete()
+        place.complete(images)
     finally:
         place.discard_if_empty()
     return Retrieved(place.target, len(images), resumed)
@@ -275,6 +278,21 @@ def store_files(
     return Stored(stored, tuple(refused))
 
 
+def _check_count(
+    connection: PacsConnection, study_uid: str, series_uid: str, num_listed: int, cancel: Callable[[], bool] | None
+) -> None:
+    """Refuse a list of images that the PACS has shortened, because a part of a series would open as the whole."""
+    stated = next(
+        (one.num_images for one in find_series(connection, study_uid, cancel=cancel) if one.uid == series_uid), None
+    )
+    if num_listed >= MAX_FILES or (stated is not None and stated > num_listed):
+        raise PacsError(
+            f"{connection.name}: the PACS lists only {num_listed} of {stated or 'the'} images of this series; ask its "
+            "administrator to raise the limit of search results",
+            code="pacs.incomplete",
+        )
+
+
 def _sendable(path: Path) -> Dataset:
     try:
         if not looks_like_dicom(path):
@@ -308,25 +326,37 @@ def _date_range(date: str) -> str:
     return "-".join("".join(part.groups()) for part in parts if part is not None)
 
 
+def _value(dataset: Dataset, keyword: str) -> Any:
+    """Return a value of an answer; None if it is missing or damaged."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # warnings of pydicom quote the value
+        try:
+            value = dataset.get(keyword)
+        except Exception:
+            return None  # pydicom raises various errors for a damaged value
+    return None if value == "" else value
+
+
+def _printable(value: Any, length: int) -> str:
+    return "".join(c for c in str(value) if c.isprintable()).strip()[:length]
+
+
 def _text(dataset: Dataset, keyword: str) -> str:
-    try:
-        value = dataset.get(keyword)
-    except Exception:
-        return ""  # pydicom raises various errors for a damaged value
-    return "" if value is None else "".join(c for c in str(value) if c.isprintable()).strip()[:128]
+    value = _value(dataset, keyword)
+    return "" if value is None else _printable(value, 128)
 
 
 def _list(dataset: Dataset, keyword: str) -> tuple[str, ...]:
-    value: Any = dataset.get(keyword)
-    if value is None or value == "":
+    value = _value(dataset, keyword)
+    if value is None:
         return ()
-    return tuple(str(one) for one in ([value] if isinstance(value, str) else value))
+    return tuple(_printable(one, 16) for one in (value if isinstance(value, MultiValue) else [value]))
 
 
 def _whole(dataset: Dataset, keyword: str) -> int | None:
     try:
-        return int(dataset.get(keyword))
-    except (TypeError, ValueError):
+        return int(_value(dataset, keyword))
+    except (TypeError, ValueError, OverflowError):
         return None
 
 

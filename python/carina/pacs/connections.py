@@ -66,8 +66,14 @@ class PacsConnection:
     def _problem(self) -> str | None:
         if not _NAME.fullmatch(self.name):
             return "expected a name of at most 40 letters, digits, spaces and -._"
+        texts = (self.url, self.host, self.listen_host, self.called_ae, self.calling_ae, self.user, self.ca_file)
+        if not all(isinstance(text, str) for text in texts):
+            return "expected texts for host, URL, AE titles and user"
         if self.url:
-            parts = urlsplit(self.url)
+            try:
+                parts = urlsplit(self.url)
+            except ValueError:
+                return "expected a URL such as https://pacs.example.org/dicom-web"
             if parts.scheme not in ("http", "https") or not parts.hostname:
                 return "expected a URL such as https://pacs.example.org/dicom-web"
             if parts.username or parts.password:
@@ -78,6 +84,11 @@ class PacsConnection:
         ports = [self.port] if self.listen_port is None else [self.port, self.listen_port]
         if not all(isinstance(port, int) and 0 < port < 65536 for port in ports):
             return "expected ports from 1 to 65535"
+        if self.tls and self.listen_port is not None:
+            return (
+                "the images on the second port would not be encrypted; leave out the port, so that they come through "
+                "the encrypted connection (C-GET)"
+            )
         for title in (self.called_ae, self.calling_ae):
             if not 0 < len(title.strip()) <= 16 or not title.isascii() or not title.isprintable() or "\\" in title:
                 return f"expected an AE title of 1 to 16 characters; found {title[:20]!r}"

@@ -25,6 +25,7 @@ _ECHO = "1.2.840.10008.1.1"
 _FIND = "1.2.840.10008.5.1.4.1.2.2.1"
 _MOVE = "1.2.840.10008.5.1.4.1.2.2.2"
 _GET = "1.2.840.10008.5.1.4.1.2.2.3"
+_SERVICES = (_ECHO, _FIND, _MOVE, _GET)
 _ROOT = "1.2.840.10008.5.1.4.1.1"
 _STORED = tuple(f"{_ROOT}.{kind}" for kind in ("2", "2.1", "4", "4.1", "7", "66.4", "88.33", "88.34", "104.1", "11.1"))
 """Classes that can be retrieved: CT and MR, classic and enhanced, captures, SEG, SR, PDF, presentation states."""
@@ -89,6 +90,7 @@ class DimseClient:
         """
         connection = self._connection
         entity = self._entity()
+        service = contexts[0][0] if contexts[0][0] in _SERVICES else None
         for abstract, syntaxes in contexts:
             entity.add_requested_context(abstract, list(syntaxes))
         tls = (tls_context(connection), connection.host) if connection.tls else None
@@ -102,10 +104,25 @@ class DimseClient:
         if not association.is_established:
             raise self._refusal(association)
         try:
+            accepted = {context.abstract_syntax for context in association.accepted_contexts}
+            if service is not None and service not in accepted:
+                raise self._no_service(service)
             yield association
-        finally:
+        except BaseException:
             if association.is_established:
-                association.release()
+                association.abort()  # a release would wait for a PACS that still sends
+            raise
+        if association.is_established:
+            association.release()
+
+    def _no_service(self, service: str | None) -> PacsError:
+        if service == _GET:
+            return PacsError(
+                f"{self.name}: the PACS does not send images through the connection of the request (C-GET); give the "
+                "port on which this machine receives images (--listen-port)",
+                code="pacs.no-service",
+            )
+        return PacsError(f"{self.name}: the PACS offers no service for this request", code="pacs.no-service")
 
     def _refusal(self, association: Any) -> PacsError:
         if association.is_rejected:
@@ -133,7 +150,7 @@ class DimseClient:
                 f"{self.name}: the PACS closed the connection; check the AE titles and whether this port uses TLS",
                 code="pacs.ae-title",
             )
-        return PacsError(f"{self.name}: the PACS offers no service for this request", code="pacs.no-service")
+        return self._no_service(None)
 
     # -- connection test ---------------------------------------------------------------------------------------------
 
@@ -224,7 +241,7 @@ class DimseClient:
             else:
                 query = _query("IMAGE", StudyInstanceUID=study_uid, SeriesInstanceUID=series_uid)
                 query.SOPInstanceUID = batch if len(batch) > 1 else batch[0]
-            receiver = _Receiver(series_uid, folder, len(images), watch)
+            receiver = _Receiver(series_uid, folder, frozenset(images), watch)
             if self._connection.listen_port is None:
                 self._get(query, receiver)
             else:
@@ -295,9 +312,7 @@ class DimseClient:
             entity.add_supported_context(kind, [*_PLAIN, *(_COMPRESSED if kind in _IMAGE_CLASSES else ())])
         handlers = [] if receiver is None else [(self._pynetdicom.evt.EVT_C_STORE, receiver.store)]
         try:
-            server = entity.start_server(
-                (connection.listen_host, connection.listen_port), block=False, evt_handlers=handlers
-            )
+            entity.start_server((connection.listen_host, connection.listen_port), block=False, evt_handlers=handlers)
         except OSError as error:
             used = error.errno == errno.EADDRINUSE
             why = "is used by another program" if used else "may not be opened"
@@ -309,7 +324,7 @@ class DimseClient:
         try:
             yield
         finally:
-            server.shutdown()
+            entity.shutdown()  # with the connections that are still open
 
     # -- storage -----------------------------------------------------------------------------------------------------
 
@@ -342,10 +357,10 @@ class DimseClient:
 class _Receiver:
     """Stores the images that arrive, and remembers the first problem."""
 
-    def __init__(self, series_uid: str, folder: RetrievalFolder, num_images: int, watch: Watch) -> None:
+    def __init__(self, series_uid: str, folder: RetrievalFolder, images: frozenset[str], watch: Watch) -> None:
         self._series_uid = series_uid
         self._folder = folder
-        self._num_images = num_images
+        self._images = images
         # Progress is reported from the thread of the connection, where an exception would be lost.
         self._watch = replace(watch)
         self._problem: BaseException | None = None
@@ -356,14 +371,24 @@ class _Receiver:
         if self._problem is not None:
             return 0xA700
         try:
-            total = self._num_images
+            total = len(self._images)
             self._watch.step("Retrieving the images", min(1.0, len(self._folder) / total) if total else None)
+        except BaseException as error:
+            self._problem = error
+            return 0xA700
+        try:
             dataset = event.dataset
-            if str(dataset.get("SeriesInstanceUID") or "") != self._series_uid:
-                return 0xA900  # an image that was not requested
             sop_uid, syntax = str(dataset.SOPInstanceUID), str(event.context.transfer_syntax)
+            series_uid = str(dataset.SeriesInstanceUID)
             content = event.encoded_dataset(include_meta=False)
-            self._folder.add(sop_uid, part10(str(dataset.SOPClassUID), sop_uid, syntax, content))
+            file = part10(str(dataset.SOPClassUID), sop_uid, syntax, content)
+        except Exception:
+            # Any program of the network can send a damaged image, which must not end the retrieval.
+            return 0xC000
+        if series_uid != self._series_uid or (self._images and sop_uid not in self._images):
+            return 0xA900  # an image that was not requested
+        try:
+            self._folder.add(sop_uid, file)
             self.num_received += 1
         except BaseException as error:
             self._problem = error

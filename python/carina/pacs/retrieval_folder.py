@@ -8,6 +8,7 @@ from __future__ import annotations
 import hashlib
 import os
 import shutil
+from collections.abc import Iterable
 from pathlib import Path
 
 from pydicom.dataset import FileMetaDataset
@@ -78,8 +79,8 @@ class RetrievalFolder:
         write_whole(self._part / name, content, what="an image", private=True)
         self._names.add(name)
 
-    def complete(self) -> None:
-        """Give the folder its name.
+    def complete(self, images: Iterable[str]) -> None:
+        """Give the folder its name; images of an earlier retrieval that the PACS no longer lists are deleted.
 
         Raises
         ------
@@ -87,6 +88,8 @@ class RetrievalFolder:
             If the folder cannot be renamed.
         """
         try:
+            for name in self._names - set(map(self._name, images)):
+                (self._part / name).unlink()
             self._part.rename(self.target)
             sync_folder(self.target.parent)
         except OSError as error:

@@ -7,6 +7,7 @@ import io
 import logging
 import re
 import ssl
+import struct
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -78,7 +79,7 @@ class WebClient:
                 "administrator of the PACS",
                 code="pacs.certificate",
             ) from None
-        except (ValueError, KeyError, TypeError):
+        except (ValueError, LookupError, TypeError, AttributeError, NotImplementedError, struct.error):
             raise PacsError(
                 f"{self.name}: the answer of {self._connection.url} is not DICOMweb; check the URL", code="pacs.url"
             ) from None
@@ -154,7 +155,8 @@ class WebClient:
             if str(image.get("SeriesInstanceUID")) != series_uid or str(image.get("SOPInstanceUID")) != uid:
                 raise PacsError(f"{self.name}: the PACS sent another image than requested", code="pacs.refused")
             buffer = io.BytesIO()
-            image.save_as(buffer, enforce_file_format=True)
+            with self._request():
+                image.save_as(buffer, enforce_file_format=True)
             folder.add(uid, buffer.getvalue())
 
     def store(self, files: Sequence[tuple[Path, Dataset]], watch: Watch) -> tuple[int, list[tuple[str, str]]]:

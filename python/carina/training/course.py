@@ -32,6 +32,8 @@ MAX_BYTES = 256 << 20
 MAX_LEARNERS = 1000
 SAMPLED_OF = 4
 """One of so many poses, chosen by its digest, is stored as a digest, by which a replay is recognised."""
+MAX_VALUE = 1e12
+"""Greatest magnitude of a number of an attempt; greater or infinite numbers come from a damaged file."""
 OWN_ATTEMPTS = "over all attempts of this learner, in their order"
 _VALUES = (
     "diagnostic_completeness", "num_case_segments", "structured_progress", "procedure_time_s",
@@ -120,6 +122,7 @@ class CourseAttempt:
             and _are(flags, bool)
             and _are(counts, int)
             and _are([one for one in known.values() if one is not None], (int, float))
+            and all(abs(one) <= MAX_VALUE for one in (*counts, *known.values()) if one is not None)  # also for NaN
             and isinstance(reasons, list) and _are(reasons, str)
             and isinstance(poses, list) and _are(poses, str)
             and isinstance(statements, list) and _are(statements, dict)
@@ -198,7 +201,7 @@ class Learner:
             values = ("" if one.values[name] is None else one.values[name] for name in _VALUES)
             texts = (
                 _cell(self.name),
-                one.task,
+                _cell(one.task),
                 one.completed,
                 one.num_steps_done,
                 one.num_steps,
@@ -405,6 +408,8 @@ def _learner_in(path: Path) -> Learner | None:
         document = json.loads(read_regular_text(path, max_bytes=MAX_BYTES))
         if not _is_learner(document):
             return None
+        # An infinite number or half of a character, which JSON files can contain, cannot be exported or sent.
+        json.dumps(document, allow_nan=False, ensure_ascii=False).encode()
         return Learner(document["name"], tuple(map(CourseAttempt.from_json, document["attempts"])))
     except (OSError, ValueError, KeyError, TypeError, RecursionError):
         return None
@@ -416,5 +421,6 @@ def _is_learner(document: Any) -> TypeGuard[dict[str, Any]]:
         and (document.get("format"), document.get("version")) == (FORMAT, VERSION)
         and isinstance(document.get("name"), str)
         and 1 <= len(document["name"]) <= MAX_NAME
+        and document["name"].isprintable()
         and isinstance(document.get("attempts"), list)
     )

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 from pathlib import Path
 
 from carina.disk import open_regular
@@ -36,7 +35,8 @@ def stated_thickness_mm(path: Path) -> float | None:
         return None
     if isinstance(value, bool) or not isinstance(value, int | float):
         return None
-    return round(float(value), 4) if math.isfinite(value) and 0 < value <= MAX_THICKNESS_MM else None
+    # The comparison is false for NaN, and exact for whole numbers beyond the range of float.
+    return round(float(value), 4) if 0 < value <= MAX_THICKNESS_MM else None
 
 
 def only_volume_in(folder: Path) -> Path | None:

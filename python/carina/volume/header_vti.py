@@ -25,11 +25,11 @@ _KINDS = {
     "Int8": "i1", "UInt8": "u1", "Int16": "i2", "UInt16": "u2", "Int32": "i4", "UInt32": "u4", "Int64": "i8",
     "UInt64": "u8", "Float32": "f4", "Float64": "f8",
 }  # fmt: skip
-_TAG = re.compile(
-    rb"<!--.{0,65536}?-->|<(/?)([A-Za-z][\w:.-]*)((?:\s+[\w:.-]+\s*=\s*(?:\"[^\"]*\"|'[^']*'))*)\s*(/?)>", re.DOTALL
-)
+_TAG = re.compile(rb"<(/?)([A-Za-z][\w:.-]*)((?:\s+[\w:.-]+\s*=\s*(?:\"[^\"]*\"|'[^']*'))*)\s*(/?)>", re.DOTALL)
 _ATTRIBUTE = re.compile(r"([\w:.-]+)\s*=\s*(?:\"([^\"]*)\"|'([^']*)')")
 _MAX_TAGS = 4096
+_MAX_OTHER = 64
+"""Largest number of places that begin like a tag and are none; each is searched once, so the time is limited."""
 _MAX_TAG_BYTES = 1 << 16
 _MAX_HEAD_BYTES = 1 << 20
 _AGAIN = "save it again, for example from ParaView"
@@ -120,11 +120,9 @@ def _tags(path: Path, content: mmap.mmap | bytes) -> list[_Tag]:
     """Return the tags up to the appended data; a document type, which may define entities, is refused."""
     found: list[_Tag] = []
     at = 0
-    for match in _matches(content):
-        if len(found) > _MAX_TAGS or match.end() - match.start() > _MAX_TAG_BYTES:
+    for match in _matches(path, content):
+        if len(found) > _MAX_TAGS:
             raise refuse(path, "it has too many or too long XML tags", _AGAIN, "import.header")
-        if match[2] is None:
-            continue
         attributes: dict[str, str] = {}
         for name, quoted, other in _ATTRIBUTE.findall(match[3].decode("utf-8", errors="replace")):
             take_once(path, attributes, name, quoted or other)
@@ -138,8 +136,25 @@ def _tags(path: Path, content: mmap.mmap | bytes) -> list[_Tag]:
     return found
 
 
-def _matches(content: mmap.mmap | bytes) -> Iterator[re.Match[bytes]]:
-    return _TAG.finditer(content)
+def _matches(path: Path, content: mmap.mmap | bytes) -> Iterator[re.Match[bytes]]:
+    """Yield the tags, without those in comments, in a time that grows linearly with the size of the file."""
+    at = others = 0
+    while (at := content.find(b"<", at)) >= 0:
+        if content[at : at + 4] == b"<!--":
+            end = content.find(b"-->", at + 4)
+            if end < 0:
+                return
+            at = end + 3
+            continue
+        match = _TAG.match(content, at, min(at + _MAX_TAG_BYTES, len(content)))
+        if match is not None:
+            yield match
+            at = match.end()
+            continue
+        others += 1
+        if others > _MAX_OTHER:
+            raise refuse(path, "it has too many or too long XML tags", _AGAIN, "import.header")
+        at += 1
 
 
 def _first(tags: list[_Tag], name: str) -> _Tag:
@@ -213,7 +228,10 @@ def _data(path: Path, content: mmap.mmap | bytes, array: _Tag, tags: list[_Tag],
         mark = bytes(content[appended.end : appended.end + 256]).find(b"_")
         if mark < 0:
             raise KeyError("_")
-        begin = appended.end + mark + 1 + int(array.attributes["offset"])
+        (offset,) = wholes(array.attributes["offset"], "offset")
+        if offset < 0:
+            raise HeaderValueError("offset", "a number of bytes", array.attributes["offset"])
+        begin = appended.end + mark + 1 + offset
         coding: Literal["base64", "raw"] = "raw" if appended.attributes.get("encoding") == "raw" else "base64"
         return VtiData(coding, begin, len(content), bool(compressor), word)
     if form not in ("ascii", "binary"):

@@ -3,11 +3,17 @@
 from __future__ import annotations
 
 import contextlib
+import ctypes
+import logging
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
 __all__ = ["EncryptedError", "MissingLibraryError", "SevenZipError", "SevenZipMember", "UnknownMethodError", "members"]
+
+_BLOCK_BYTES = 1 << 16
+# The library logs names of members and damage, which this module reports as errors.
+logging.getLogger("libarchive").setLevel(logging.CRITICAL + 1)
 
 
 class SevenZipError(Exception):
@@ -50,8 +56,16 @@ def members(path: Path) -> Iterator[SevenZipMember]:
 
 def _reader(library: Any, entry: Any) -> Callable[[], Iterator[bytes]]:
     def blocks() -> Iterator[bytes]:
+        # `ArchiveEntry.get_blocks` treats a wrong checksum, which is a warning of libarchive, as data.
+        buffer, num_bytes = ctypes.create_string_buffer(_BLOCK_BYTES), 0
         with _as_own_errors(library):
-            yield from entry.get_blocks()
+            while size := library.ffi.read_data(entry._archive_p, buffer, _BLOCK_BYTES):
+                if size < 0:
+                    raise SevenZipError
+                num_bytes += size
+                yield buffer.raw[:size]
+        if entry.size is not None and num_bytes != entry.size:
+            raise SevenZipError
 
     return blocks
 
