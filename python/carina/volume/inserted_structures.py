@@ -18,6 +18,11 @@ INSERTED_TITLE = "Inserted nodule: "
 """Beginning of the title of a CT with inserted structures."""
 INSERTED_BEGINNING = "inserted: "
 """Beginning of the words of the permanent note."""
+SECOND_CT_WORDS = (
+    f"{INSERTED_BEGINNING}Carina inserted a nodule into the second CT for training, not the patient's: do not use this "
+    "movement for a patient"
+)
+"""Note of a movement that was measured with a second CT with inserted structures."""
 PICTURE_TEXT = "INSERTED NODULE: NOT THE PATIENT'S"
 """Text in saved pictures of such a CT."""
 _TAG = "CARINA-INSERTED"
