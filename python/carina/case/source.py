@@ -17,6 +17,7 @@ from carina.case.error_texts import damage_error
 from carina.display import one_line
 from carina.errors import UsageError
 from carina.volume import Geometry, Volume
+from carina.volume.inserted_structures import MAX_INSERTED
 
 V = TypeVar("V", np.uint8, np.int16)
 GEOMETRY_MM: Final = 1e-3
@@ -24,7 +25,7 @@ GEOMETRY_MM: Final = 1e-3
 MAX_PATH_CHARS: Final = 4096
 INSERTED_KIND: Final = "inserted"
 """Value of the column ``kind`` of descriptions of inserted structures in the table ``extra``."""
-_MAX_INSERTED, _MAX_TEXT = 999, 200
+_MAX_TEXT = 200
 
 
 @one_line
@@ -93,7 +94,7 @@ def write_inserted(connection: sqlite3.Connection, structures: tuple[str, ...]) 
     """Store the descriptions of inserted structures, in a transaction that the caller opened; none change nothing."""
     if structures:
         connection.execute("DELETE FROM extra WHERE kind = ?", (INSERTED_KIND,))
-    for n, text in enumerate(structures):
+    for n, text in enumerate(structures[:MAX_INSERTED]):
         mark = (INSERTED_KIND, n, as_checked_json(text, f.decoders().extra, INSERTED_KIND))
         connection.execute("INSERT INTO extra (kind, n, json) VALUES (?, ?, ?)", mark)
 
@@ -107,12 +108,12 @@ def inserted_structures(connection: sqlite3.Connection) -> tuple[str, ...]:
         ``case.damaged``.
     """
     rows = connection.execute(
-        "SELECT json FROM extra WHERE kind = ? ORDER BY n LIMIT ?", (INSERTED_KIND, _MAX_INSERTED + 1)
+        "SELECT json FROM extra WHERE kind = ? ORDER BY n LIMIT ?", (INSERTED_KIND, MAX_INSERTED + 1)
     ).fetchall()
     where = "the list of inserted structures"
     found = tuple(from_json(text, f.decoders().extra, where) for (text,) in rows)
-    if len(found) > _MAX_INSERTED or not all(isinstance(one, str) and len(one) <= _MAX_TEXT for one in found):
-        raise damage_error(where, f"up to {_MAX_INSERTED} short texts", "other values")
+    if len(found) > MAX_INSERTED or not all(isinstance(one, str) and len(one) <= _MAX_TEXT for one in found):
+        raise damage_error(where, f"up to {MAX_INSERTED} short texts", "other values")
     return found
 
 
