@@ -9,12 +9,14 @@ import numpy as np
 import pytest
 from sample_case import ActiveCase, act, assert_same_moment, source_of, whole
 
+import carina
 from carina.case import CaseFile, CaseFileError, SourceFacts
 from carina.commands import Steer
 from carina.errors import DiskError, UsageError
 from carina.navigate import Navigator, Pilot, Recorder
 from carina.scopes import Pose
-from carina.volume import Volume, badges_of, ct_digest
+from carina.session import CaseScans
+from carina.volume import Volume, badges_of, ct_digest, write_grid
 from carina.volume.inserted_structures import INSERTED, with_inserted
 
 
@@ -269,6 +271,22 @@ def test_packed_scan_with_an_inserted_nodule_opens_with_its_note(active_case, tm
     assert found.source.inserted == texts
     assert [note.code for note in badges_of(found)] == [INSERTED]
     assert found.source.title == "Inserted nodule: packed scan"
+
+
+def test_case_without_its_scan_marks_a_copy_that_has_lost_the_mark(active_case, tmp_path):
+    texts = ("solid nodule, 8.0 mm, at -41.0 12.0 -180.0",)
+    scan = active_case.case.volume
+    marked = Volume(scan.hu_zyx, scan.lps_from_ijk, source=with_inserted(scan.source, texts))
+    with CaseFile.create(tmp_path / "one.carina", SourceFacts.of(marked, ct_digest(marked))) as file:
+        file.write_copy(tmp_path / "named.carina")
+    # Other software does not write the mark.
+    write_grid(tmp_path / "copy.nii", scan.hu_zyx, scan.lps_from_ijk, what="the CT")
+    assert carina.open_volume(tmp_path / "copy.nii", progress=False).source.inserted == ()
+    with CaseFile.open(tmp_path / "named.carina", read_only=True) as file:
+        assert file.inserted == texts
+        found = CaseScans().open(file, ct=tmp_path / "copy.nii", progress=False).volume
+    assert found.source.inserted == texts
+    assert [note.code for note in badges_of(found)].count(INSERTED) == 1
 
 
 def test_damaged_list_of_inserted_nodules_is_reported(active_case, tmp_path):

@@ -22,6 +22,7 @@ from carina.export.plan_nrrd import write_target_nrrd
 from carina.navigate.rotation import rotation_from_vector
 from carina.track import lumen_mask
 from carina.volume import Volume, open_mask, open_volume, write_grid
+from carina.volume.inserted_structures import with_inserted
 
 TURN = rotation_from_vector(np.array([0.31, -0.22, 0.47]))
 FIRST_LPS = np.array([-40.125, 17.5, -203.25])
@@ -285,6 +286,19 @@ def test_simpleitk_reads_the_segmentation_at_the_position_of_the_nodule(ct, volu
     k, j, i = np.nonzero(inside_on_grid(nodule(), volume))
     expected = volume.to_lps(np.stack([i, j, k], axis=1))
     assert np.abs(found - expected).max() < 0.01
+
+
+def test_dicom_object_of_a_ct_with_an_inserted_nodule_is_refused(ct, volume, tmp_path):
+    # All pixels are those of the patient's images, as those of the compared slices are if the nodule is between them.
+    marked = with_inserted(volume.source, ("solid nodule, 8.0 mm, at -41.0 12.0 -180.0",))
+    trained = dataclasses.replace(volume, source=marked)
+    out = tmp_path / "out"
+    out.mkdir()
+    for write in (write_target_seg, write_target_report):
+        with pytest.raises(UsageError, match="a nodule was inserted") as caught:
+            write(out / "t.dcm", nodule(), trained, ct)
+        assert caught.value.code == "plan.other-ct"
+    assert list(out.iterdir()) == []
 
 
 def test_segmentation_for_another_ct_or_for_a_file_that_is_not_dicom_is_refused(ct, volume, tmp_path):

@@ -33,9 +33,11 @@ from carina.plan.movement.same_patient import (
     no_airways,
 )
 from carina.plan.movement.target_movement import shift_words
+from carina.plan.reasons import plan_reasons
 from carina.plan.routes.needle_hits import NeedleErrors
 from carina.track import Airways
 from carina.volume import Volume
+from carina.volume.inserted_structures import SECOND_CT_WORDS, with_inserted
 from carina_bench.breathing import Breath, breathed, random_breath
 
 
@@ -100,6 +102,21 @@ def test_measured_target_shift_is_within_its_error_and_forks_are_within_one_mill
     assert np.allclose(found.second_lps, place() + np.array(movement.shift_lps) + np.array(found.carina_shift_lps))
     document = found.to_json()
     assert document["movement"]["origin"] == "measured" and len(document["forks"]) == len(found.forks)
+
+
+def test_movement_from_a_second_ct_with_an_inserted_nodule_states_the_insertion_in_the_plan() -> None:
+    first = chest().volume
+    marked = with_inserted(second().source, ("solid nodule, 8.0 mm, at -41.0 12.0 -180.0",))
+    volume = dataclasses.replace(second(), source=marked)
+    found = measure_movement(first, found_airways(first), place(), volume, second_airways(), progress=False)
+    assert found.movement.notes == (SECOND_CT_WORDS,)
+    assert found.movement.shift_lps == measured().movement.shift_lps
+    plan = plan_route(
+        first, found_airways(first), place(), movement=found.movement, drives=0, confirmed=True, progress=False
+    )
+    (reason,) = [one for one in plan_reasons(plan) if "inserted" in one.words]
+    assert reason.severity == "stop"
+    assert "second CT" in reason.words
 
 
 def test_shift_of_the_ct_table_does_not_count_as_target_movement() -> None:

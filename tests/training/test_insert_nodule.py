@@ -212,6 +212,12 @@ def test_cut_off_mark_still_gives_the_number_of_nodules(chest):
     assert marked_structures(b"an ordinary header") == ()
 
 
+def test_mark_with_more_nodules_than_are_read_is_not_lost(chest):
+    texts = ["solid nodule, 8.0 mm, at -41.0 12.0 -180.0"] * 1500
+    mark = file_mark(with_inserted(chest.volume.source, texts))
+    assert len(marked_structures(mark.encode())) == 999
+
+
 def test_picture_of_the_ct_shows_and_contains_that_a_nodule_was_inserted(tmp_path, chest, made):
     root = chest.tree.root.points
     view = AirwayView(Pose.looking(root[5], root[9] - root[5]), width=320, height=320)

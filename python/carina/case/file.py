@@ -32,7 +32,14 @@ from carina.case.reading import CaseReader
 from carina.case.recordings import RecordingFacts, RecordingTable, RecordingWriter
 from carina.case.save_mark import SaveMark, read_save_mark, write_save_mark
 from carina.case.schema import check_schema, make_tables, write_migrated_copy
-from carina.case.source import SourceFacts, axis_permutation, grid_text, read_source, write_source
+from carina.case.source import (
+    SourceFacts,
+    axis_permutation,
+    grid_text,
+    inserted_structures,
+    read_source,
+    write_source,
+)
 from carina.case.sqlite_journals import copied_with_journal, has_journal, rename_foreign_file
 from carina.case.stored_state import Moment
 from carina.case.summary import CaseSummary, read_summary
@@ -368,6 +375,18 @@ class CaseFile:
         """Description of the CT of the case."""
         with self._lock, convert_disk_errors(self.path):
             return read_source(self._checked_connection())
+
+    @property
+    def inserted(self) -> tuple[str, ...]:
+        """Descriptions of nodules that were inserted into the CT of the case; empty without them.
+
+        Raises
+        ------
+        CaseFileError
+            ``case.damaged``.
+        """
+        with self._lock, convert_disk_errors(self.path), convert_value_errors():
+            return inserted_structures(self._checked_connection())
 
     @property
     def digest(self) -> str:

@@ -8,27 +8,15 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from carina.case import json_records as f
-from carina.case.compression import (
-    MAX_DEFLATED,
-    MAX_PIECE_BYTES,
-    as_checked_json,
-    content_digest,
-    deflate,
-    from_json,
-    inflate,
-)
+from carina.case.compression import MAX_DEFLATED, MAX_PIECE_BYTES, content_digest, deflate, inflate
 from carina.case.error_texts import damage_error
-from carina.case.source import SourceFacts, axis_permutation, read_source
+from carina.case.source import SourceFacts, axis_permutation, inserted_structures, read_source, write_inserted
 from carina.errors import UsageError
 from carina.volume import Volume, VolumeSource, ct_digest
 from carina.volume.inserted_structures import with_inserted
 
 CHUNK_BYTES: Final = 16 << 20
 """Largest size of the voxels in a chunk in bytes; a chunk has one slice if a slice is larger."""
-INSERTED_KIND: Final = "inserted"
-"""Value of the column ``kind`` of descriptions of inserted structures in the table ``extra``."""
-_MAX_INSERTED, _MAX_TEXT = 999, 200
 
 
 def write_ct(connection: sqlite3.Connection, volume: Volume) -> None:
@@ -65,29 +53,7 @@ def write_ct(connection: sqlite3.Connection, volume: Volume) -> None:
         slices = np.ascontiguousarray(values[first : first + at_once], dtype="<i2")
         row = (n, first, len(slices), content_digest(slices.tobytes()), deflate(_differences_as_bytes(slices)))
         connection.execute("INSERT INTO ct (n, first_k, num_k, digest, data) VALUES (?, ?, ?, ?, ?)", row)
-    if volume.source.inserted:
-        connection.execute("DELETE FROM extra WHERE kind = ?", (INSERTED_KIND,))
-    for n, text in enumerate(volume.source.inserted):
-        mark = (INSERTED_KIND, n, as_checked_json(text, f.decoders().extra, INSERTED_KIND))
-        connection.execute("INSERT INTO extra (kind, n, json) VALUES (?, ?, ?)", mark)
-
-
-def inserted_structures(connection: sqlite3.Connection) -> tuple[str, ...]:
-    """Return the descriptions of the structures that were inserted into the packed CT; empty without them.
-
-    Raises
-    ------
-    CaseFileError
-        ``case.damaged``.
-    """
-    rows = connection.execute(
-        "SELECT json FROM extra WHERE kind = ? ORDER BY n LIMIT ?", (INSERTED_KIND, _MAX_INSERTED + 1)
-    ).fetchall()
-    where = "the list of inserted structures"
-    found = tuple(from_json(text, f.decoders().extra, where) for (text,) in rows)
-    if len(found) > _MAX_INSERTED or not all(isinstance(one, str) and len(one) <= _MAX_TEXT for one in found):
-        raise damage_error(where, f"up to {_MAX_INSERTED} short texts", "other values")
-    return found
+    write_inserted(connection, volume.source.inserted)
 
 
 def packed_volume(connection: sqlite3.Connection) -> Volume | None:

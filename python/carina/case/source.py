@@ -17,11 +17,15 @@ from carina.case.error_texts import damage_error
 from carina.display import one_line
 from carina.errors import UsageError
 from carina.volume import Geometry, Volume
+from carina.volume.inserted_structures import MAX_INSERTED
 
 V = TypeVar("V", np.uint8, np.int16)
 GEOMETRY_MM: Final = 1e-3
 """Largest distance in mm between corresponding voxels of two grids that count as equal."""
 MAX_PATH_CHARS: Final = 4096
+INSERTED_KIND: Final = "inserted"
+"""Value of the column ``kind`` of descriptions of inserted structures in the table ``extra``."""
+_MAX_TEXT = 200
 
 
 @one_line
@@ -36,6 +40,8 @@ class SourceFacts(Geometry):
     """Path of the scan relative to the case file; None if unknown."""
     choices: dict[str, Any] = field(default_factory=dict)
     """The user's choices at the import of the CT, as plain JSON."""
+    inserted: tuple[str, ...] = ()
+    """Descriptions of nodules that were inserted into the CT; `read_source` leaves them out (`inserted_structures`)."""
 
     def __post_init__(self) -> None:
         """Raise an error if the path of the scan is absolute."""
@@ -50,7 +56,15 @@ class SourceFacts(Geometry):
         cls, volume: Volume, digest: str, *, path: str | None = None, choices: dict[str, Any] | None = None
     ) -> SourceFacts:
         """Return the description of a volume with a known digest."""
-        return cls(volume.shape_zyx, volume.lps_from_ijk, digest, volume.is_hu, path, dict(choices or {}))
+        return cls(
+            volume.shape_zyx,
+            volume.lps_from_ijk,
+            digest,
+            volume.is_hu,
+            path,
+            dict(choices or {}),
+            volume.source.inserted,
+        )
 
 
 def write_source(connection: sqlite3.Connection, source: SourceFacts) -> None:
@@ -73,6 +87,34 @@ def write_source(connection: sqlite3.Connection, source: SourceFacts) -> None:
             as_checked_json(source.choices, f.decoders().choices, "the import choices"),
         ),
     )
+    write_inserted(connection, source.inserted)
+
+
+def write_inserted(connection: sqlite3.Connection, structures: tuple[str, ...]) -> None:
+    """Store the descriptions of inserted structures, in a transaction that the caller opened; none change nothing."""
+    if structures:
+        connection.execute("DELETE FROM extra WHERE kind = ?", (INSERTED_KIND,))
+    for n, text in enumerate(structures[:MAX_INSERTED]):
+        mark = (INSERTED_KIND, n, as_checked_json(text, f.decoders().extra, INSERTED_KIND))
+        connection.execute("INSERT INTO extra (kind, n, json) VALUES (?, ?, ?)", mark)
+
+
+def inserted_structures(connection: sqlite3.Connection) -> tuple[str, ...]:
+    """Return the descriptions of the structures that were inserted into the CT of a case; empty without them.
+
+    Raises
+    ------
+    CaseFileError
+        ``case.damaged``.
+    """
+    rows = connection.execute(
+        "SELECT json FROM extra WHERE kind = ? ORDER BY n LIMIT ?", (INSERTED_KIND, MAX_INSERTED + 1)
+    ).fetchall()
+    where = "the list of inserted structures"
+    found = tuple(from_json(text, f.decoders().extra, where) for (text,) in rows)
+    if len(found) > MAX_INSERTED or not all(isinstance(one, str) and len(one) <= _MAX_TEXT for one in found):
+        raise damage_error(where, f"up to {MAX_INSERTED} short texts", "other values")
+    return found
 
 
 def read_source(connection: sqlite3.Connection) -> SourceFacts:

@@ -138,14 +138,21 @@ def ct_images(
     Raises
     ------
     UsageError
-        ``plan.not-dicom`` if the CT is not DICOM; ``plan.other-ct`` if none of its series is the volume;
-        ``plan.corrected-ct`` if its slices were resampled or interpolated.
+        ``plan.not-dicom`` if the CT is not DICOM; ``plan.other-ct`` if none of its series is the volume, or if nodules
+        were inserted into the volume; ``plan.corrected-ct`` if its slices were resampled or interpolated.
     VolumeImportError
         If it cannot be read, or lacks the UIDs that are required for references.
     CancelledError
         If ``cancel()`` returned True.
     """
     check_type("referring to the CT", "volume", volume, Volume, "open a volume with carina.open_volume")
+    if volume.source.inserted:
+        # Only some slices are compared with the volume, and a nodule may be between them.
+        raise UsageError(
+            "a nodule was inserted into the CT of this plan for training, so a DICOM object must not refer to the "
+            "patient's images; plan on the original CT",
+            code="plan.other-ct",
+        )
     watch = Watch(None, cancel)
     return guarded(Path(path).expanduser(), lambda where: _images(where, volume, series, watch))
 

@@ -168,7 +168,7 @@ def _of_movement(plan: Plan) -> _Parts:
     """Yield the warnings about the movement of the target."""
     origin = "movement from the second CT" if plan.movement.origin == "measured" else "movement"
     for note in plan.movement.notes:
-        yield "plan.movement", f"{origin}: {note}", "caution"
+        yield "plan.movement", f"{origin}: {note}", "stop" if note.startswith(INSERTED_BEGINNING) else "caution"
 
 
 def _of_hours(turns: TurnList | None) -> _Parts:

@@ -18,10 +18,17 @@ INSERTED_TITLE = "Inserted nodule: "
 """Beginning of the title of a CT with inserted structures."""
 INSERTED_BEGINNING = "inserted: "
 """Beginning of the words of the permanent note."""
+SECOND_CT_WORDS = (
+    f"{INSERTED_BEGINNING}Carina inserted a nodule into the second CT for training, not the patient's: do not use this "
+    "movement for a patient"
+)
+"""Note of a movement that was measured with a second CT with inserted structures."""
+MAX_INSERTED = 999
+"""Largest number of structures that are read from a file; a larger number in a header or a case counts as this one."""
 PICTURE_TEXT = "INSERTED NODULE: NOT THE PATIENT'S"
 """Text in saved pictures of such a CT."""
 _TAG = "CARINA-INSERTED"
-_MARK = re.compile(rb"CARINA-INSERTED (\d{1,3}): ([ -~]{0,2000})")
+_MARK = re.compile(rb"CARINA-INSERTED (\d{1,9}): ([ -~]{0,2000})")
 _NUMBER = r"-?\d{1,5}\.\d"
 _STRUCTURE = re.compile(rf"[a-z]+(?:-[a-z]+)? nodule, {_NUMBER} mm, at {_NUMBER} {_NUMBER} {_NUMBER}")
 _NOT_DESCRIBED = "nodule that the file does not describe"
@@ -84,6 +91,6 @@ def marked_structures(head: bytes) -> tuple[str, ...]:
     found = _MARK.search(head)
     if found is None:
         return ()
-    count = max(int(found[1]), 1)
+    count = min(max(int(found[1]), 1), MAX_INSERTED)
     named = [one for one in found[2].decode("ascii").split("; ") if _STRUCTURE.fullmatch(one)][:count]
     return (*named, *([_NOT_DESCRIBED] * (count - len(named))))

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -47,6 +47,7 @@ from carina.plan.targets.nodule import Nodule
 from carina.plan.targets.target import PlanTarget
 from carina.track import Airways, AirwayTree, find_airways
 from carina.volume import Volume
+from carina.volume.inserted_structures import SECOND_CT_WORDS
 
 Points = NDArray[np.float64]
 
@@ -223,7 +224,10 @@ def measure_movement(
     matches = _matched((first, second), forks, searched, guess, check_cancelled)
     report("matching vessels and forks", None)
     check_places(matches.field.places, place)
-    return _measurement(matches, place, radius_mm)
+    found = _measurement(matches, place, radius_mm)
+    if not second_volume.source.inserted:
+        return found
+    return replace(found, movement=replace(found.movement, notes=(SECOND_CT_WORDS, *found.movement.notes)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -13,6 +13,7 @@ from carina.display import one_line
 from carina.display.progress import Progress, ProgressChoice, progress_function, shows_progress
 from carina.errors import CancelledError, CarinaError, UsageError
 from carina.volume import Volume, ct_digest, refuse_other_ct
+from carina.volume.inserted_structures import with_inserted
 
 if TYPE_CHECKING:
     from carina.session.store.registry import CaseRecords
@@ -130,7 +131,7 @@ class CaseScans:
                 if series is None:
                     volume = self._series_with_digest(volume, source.digest, Path(place), report, cancel)
             refuse_other_ct(volume, source.digest, source)
-            return FoundScan(volume, place)
+            return FoundScan(_with_mark(volume, case), place)
 
         if ct is not None:
             return opened(str(Path(ct).expanduser().absolute()))
@@ -150,7 +151,7 @@ class CaseScans:
             volume = case.packed_volume()
         if volume is not None:
             refuse_other_ct(volume, source.digest, source)
-            return FoundScan(volume, None)
+            return FoundScan(_with_mark(volume, case), None)
         if refusal is not None:
             raise refusal
         raise CaseFileError(
@@ -196,6 +197,16 @@ class CaseScans:
         if self._cache is None:
             return open_volume(place, series=series, progress=progress, cancel=cancel)
         return self._cache.open(place, series=series, progress=progress, cancel=cancel).volume
+
+
+def _with_mark(volume: Volume, case: CaseFile) -> Volume:
+    """Return a CT with the note on nodules that the case records, if a copy of the CT has lost its own mark."""
+    if volume.source.inserted:
+        return volume
+    inserted = case.inserted
+    if not inserted:
+        return volume
+    return replace(volume, source=with_inserted(volume.source, inserted))
 
 
 def relative_path(copy: Path, place: str | None) -> str | None:
