@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carina.display import one_line
-from carina.plan.turns.fork_view import hours_of
+from carina.plan.turns.fork_view import hours_of, turned_hours, whole_hour
 from carina.scopes import WallField
 from carina.track import AirwayTree
 from carina.training.flight_frames import FRAME_HZ, FlightFrames
@@ -155,6 +155,8 @@ def wall_contacts(
             continue
         place = (float(at[n, 0]), float(at[n, 1]), float(at[n, 2]))
         hour = _hour_of_wall(frames.lps_from_tip[n], wall)
+        if frames.optics[frames.optics_number[n]].picture_turned:
+            hour = turned_hours(hour)
         contacts.append(WallContact(int(n), int(n), place, int(places.branch_ids[n]), hour))
     return contacts, red
 
@@ -165,6 +167,11 @@ def _hour_of_wall(pose: Points, wall: WallField) -> float:
     found = wall.distance_mm(pose[:3, 3] + steps)
     towards = -(found[:3] - found[3:]) @ pose[:3, :3]
     return hours_of(float(towards[0]), float(towards[1]))
+
+
+def hour_text(hours: float) -> str:
+    """Return the whole clock hour nearest to a clock hour as text."""
+    return f"{whole_hour(hours)} o'clock"
 
 
 def path_length_mm(tips: Points) -> float:
