@@ -363,6 +363,10 @@ def test_clock_hours_of_a_quiz_are_those_of_the_picture_of_an_operator_who_faces
     facing = workstation.info.quiz.choices
     # The picture is turned by 180 degrees.
     assert sorted((hour + 5) % 12 + 1 for hour in hours(head)) == hours(facing)
+    pose = session.pose_info().pose
+    assert np.allclose(np.reshape(workstation.info.quiz.lps_from_tip, (4, 4)), pose.lps_from_camera)
+    session.do(RepeatQuestion())
+    assert np.allclose(session.pose_info().pose.lps_from_camera, pose.lps_from_camera), "the picture stays turned"
     with pytest.raises(UsageError, match="expected one of"):
         session.do(AnswerQuiz("no hour"))
     session.do(AnswerQuiz(facing[0]))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from dataclasses import replace
 
 import numpy as np
@@ -257,16 +256,6 @@ def test_tip_touches_the_wall_within_a_tenth_of_a_millimetre():
     assert contacts_at([1.6])[0] == []
     assert len(contacts_at([2.2])[0]) == 1
     assert contacts_at([2.2])[0][0].clock_hour == pytest.approx(3.0, abs=0.1)
-
-
-def test_clock_hour_of_a_contact_is_that_of_the_picture_of_an_operator_who_faces_the_patient():
-    frames = frames_of([camera((2.2, 0.0, 20.0))])
-    turned = dataclasses.replace(
-        frames, optics=tuple(dataclasses.replace(one, picture_turned=True) for one in frames.optics)
-    )
-    places = TipPlaces(np.zeros(1, dtype=np.int64), np.zeros(1, dtype=bool))
-    contacts, _ = wall_contacts(turned, TUBE, places, first=0, last=0)
-    assert contacts[0].clock_hour == pytest.approx(9.0, abs=0.1)
 
 
 def test_hour_near_the_top_of_the_picture_is_twelve_o_clock():

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carina.display import one_line
-from carina.plan.turns.fork_view import hours_of, turned_hours, whole_hour
+from carina.plan.turns.fork_view import hours_of, whole_hour
 from carina.scopes import WallField
 from carina.track import AirwayTree
 from carina.training.flight_frames import FRAME_HZ, FlightFrames
@@ -155,8 +155,6 @@ def wall_contacts(
             continue
         place = (float(at[n, 0]), float(at[n, 1]), float(at[n, 2]))
         hour = _hour_of_wall(frames.lps_from_tip[n], wall)
-        if frames.optics[frames.optics_number[n]].picture_turned:
-            hour = turned_hours(hour)
         contacts.append(WallContact(int(n), int(n), place, int(places.branch_ids[n]), hour))
     return contacts, red
 

@@ -5,11 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import msgspec
+import numpy as np
 
 from carina import commands as c
 from carina.errors import NoResultError, UsageError
 from carina.render import FlatPlace, Sight
-from carina.scopes import WallField
+from carina.scopes import Pose, WallField
 from carina.session.command_registry import CommandHandlers, does
 from carina.session.flights.tip_commands import place_pose
 from carina.session.open_case.open_case import OpenCase
@@ -21,6 +22,8 @@ from carina.volume.anatomical_planes import PLANES
 
 SLICE_MM_PER_PX = 0.4
 """Scale of the slices at a question with three slices."""
+TURN = np.diag([-1.0, -1.0, 1.0, 1.0])
+"""Turn of the picture by 180 degrees."""
 
 
 @dataclass(slots=True)
@@ -37,10 +40,20 @@ class _Quiz:
     sight: Sight = field(default_factory=Sight)
     """Sight before the quiz, whose crosshair and zoom are restored."""
 
+    @property
+    def _is_turned(self) -> bool:
+        """Whether the picture is turned by 180 degrees, for an operator who faces the patient."""
+        return self.case.document.look.operator == "facing"
+
+    @property
+    def pose(self) -> Pose:
+        """Pose of the tip of the present question, upright for the operator."""
+        upright = self.questions[self.at].pose
+        return Pose(upright.lps_from_camera @ TURN) if self._is_turned else upright
+
     def shown(self, choice: str) -> str:
         """Return a choice as windows show it: clock hours are those of the picture that the operator sees."""
-        is_turned = self.kind == "slices" and self.case.document.look.operator == "facing"
-        return turned_choice(choice) if is_turned else choice
+        return turned_choice(choice) if self.kind == "slices" and self._is_turned else choice
 
     @property
     def choices(self) -> tuple[str, ...]:
@@ -58,7 +71,7 @@ class _Quiz:
             number=self.at + 1,
             num_questions=len(self.questions),
             choices=self.choices,
-            lps_from_tip=tuple(float(v) for v in question.pose.lps_from_camera.ravel()),
+            lps_from_tip=tuple(float(v) for v in self.pose.lps_from_camera.ravel()),
             num_right=sum(given == one.answer for given, one in zip(self.answers, self.questions, strict=False)),
             given=self.shown(self.answers[self.at]) if is_answered else None,
             answer=self.shown(question.answer) if is_answered else None,
@@ -105,7 +118,7 @@ class QuizHandlers(CommandHandlers):
     def _ask(self) -> None:
         assert self._quiz is not None
         question = self._quiz.questions[self._quiz.at]
-        self.core.fly(place_pose(question.pose))
+        self.core.fly(place_pose(self._quiz.pose))
         place = question.place_lps
         if place is not None:
             near = {view: FlatPlace(mm_per_px=SLICE_MM_PER_PX) for view in PLANES}
@@ -192,8 +205,8 @@ class QuizHandlers(CommandHandlers):
         if quiz.case is not case or case.document.airways is not quiz.airways:
             self._end()
             self.core.changed("training")
-        elif quiz.kind == "slices":
-            # The clock hours depend on the operator's position, which may have changed.
+        else:
+            # Pose and clock hours depend on the operator's position, which may have changed.
             self.core.changed("training")
 
     def discard(self) -> None:
