@@ -43,10 +43,10 @@ def experts(workstation):
     return [one.number for one in flights(workstation) if one.is_expert]
 
 
-def fly(workstation, *, paused=False):
+def fly(workstation, *, paused=False, task="inspect-all"):
     """Fly an attempt, and return once it is scored."""
     num = len(workstation.info.scores)
-    workstation.start("inspect-all")
+    workstation.start(task)
     workstation.advance_tip(20.0 + 2.0 * num)
     if paused:
         workstation.session.do(PauseTask(True))
@@ -92,6 +92,14 @@ def test_attempt_that_was_not_scored_is_stored_when_it_is_scored_again(workstati
     workstation.session.do(ChooseLearner("one"))
     workstation.session.do(ScoreFlight(flights(workstation)[0].number))
     until(lambda: len(workstation.info.course.attempts) == 1)
+
+
+def test_paused_attempt_at_a_task_states_why_it_does_not_count(workstation):
+    workstation.session.do(AddLearner("one"))
+    fly(workstation, paused=True, task="find-rb6")
+    (attempt,) = workstation.info.course.attempts
+    assert not attempt.is_inspection
+    assert attempt.reasons == ("the attempt was paused once, for 0 s in total",)
 
 
 def test_score_that_cannot_be_stored_is_stored_with_the_next_one(workstation, monkeypatch):

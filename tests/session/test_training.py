@@ -21,6 +21,7 @@ from carina.commands import (
     ScoreFlight,
     ScoreOf,
     SetMode,
+    SetOperator,
     SetScope,
     StartQuiz,
     StartTask,
@@ -347,6 +348,34 @@ def test_quiz_with_slices_places_the_crosshair_and_restores_it(workstation, ches
     session.do(StopQuiz())
     after = session.snapshot().sight
     assert (after.crosshair_lps, after.zoom) == (before.crosshair_lps, before.zoom)
+
+
+def test_clock_hours_of_a_quiz_are_those_of_the_picture_of_an_operator_who_faces_the_patient(workstation):
+    session = workstation.session
+
+    def hours(choices):
+        return [int(one.split()[0]) for one in choices]
+
+    session.do(StartQuiz("slices", seed=1, num=2))
+    until(lambda: workstation.info.quiz is not None)
+    head = workstation.info.quiz.choices
+    session.do(SetOperator("facing"))
+    facing = workstation.info.quiz.choices
+    # The picture is turned by 180 degrees.
+    assert sorted((hour + 5) % 12 + 1 for hour in hours(head)) == hours(facing)
+    pose = session.pose_info().pose
+    assert np.allclose(np.reshape(workstation.info.quiz.lps_from_tip, (4, 4)), pose.lps_from_camera)
+    session.do(RepeatQuestion())
+    assert np.allclose(session.pose_info().pose.lps_from_camera, pose.lps_from_camera), "the picture stays turned"
+    with pytest.raises(UsageError, match="expected one of"):
+        session.do(AnswerQuiz("no hour"))
+    session.do(AnswerQuiz(facing[0]))
+    turned = workstation.info.quiz
+    assert turned.given == facing[0]
+    session.do(SetOperator("head"))
+    upright = workstation.info.quiz
+    assert hours([upright.answer]) == [(hour + 5) % 12 + 1 for hour in hours([turned.answer])]
+    assert (upright.given == upright.answer) == (turned.given == turned.answer) == (turned.num_right == 1)
 
 
 def test_task_ends_the_quiz(workstation):

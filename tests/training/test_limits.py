@@ -12,7 +12,7 @@ from carina.track import AirwayTree, Branch
 from carina.training.attempt_checks import attempt_doubts
 from carina.training.entries import entries_of, openings_entered, openings_passed
 from carina.training.flight_frames import FlightFrames, FlightOptics
-from carina.training.handling import TipPlaces, tip_places, wall_contacts
+from carina.training.handling import TipPlaces, hour_text, tip_places, wall_contacts
 from carina.training.openings_in_sight import BranchOpening, OpeningSights, openings_in_sight
 from carina.training.task_file import find_task
 from carina.training.visits import Visit, places_seen, progress_steps, revisits_of, visits_of
@@ -256,6 +256,10 @@ def test_tip_touches_the_wall_within_a_tenth_of_a_millimetre():
     assert contacts_at([1.6])[0] == []
     assert len(contacts_at([2.2])[0]) == 1
     assert contacts_at([2.2])[0][0].clock_hour == pytest.approx(3.0, abs=0.1)
+
+
+def test_hour_near_the_top_of_the_picture_is_twelve_o_clock():
+    assert [hour_text(hours) for hours in (0.3, 11.8, 12.0, 0.6)] == ["12 o'clock"] * 3 + ["1 o'clock"]
 
 
 @pytest.mark.parametrize(("num_clear", "expected"), [(4, 1), (5, 2)])

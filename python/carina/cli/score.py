@@ -24,6 +24,7 @@ from carina.training import (
     task_of_flight,
     write_flight_log,
 )
+from carina.training.handling import hour_text
 from carina.training.mastery import IN_A_ROW_RULE, MASTERY_SOURCE, NOT_COMPARABLE
 
 MAX_CONTACT_LINES = 10
@@ -126,7 +127,7 @@ def score_lines(score: Score) -> list[str]:
     if result.num_wrong:
         lines.insert(1, f"wrong places              {result.num_wrong}")
     lines += [
-        f"contact at {one.time_s:6.1f} s       {one.branch}, {one.clock_hour:.0f} o'clock, {one.duration_s:.1f} s"
+        f"contact at {one.time_s:6.1f} s       {one.branch}, {hour_text(one.clock_hour)}, {one.duration_s:.1f} s"
         for one in score.contacts[:MAX_CONTACT_LINES]
     ]
     if len(score.contacts) > MAX_CONTACT_LINES:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carina.display import one_line
-from carina.plan.turns.fork_view import hours_of
+from carina.plan.turns.fork_view import hours_of, whole_hour
 from carina.scopes import WallField
 from carina.track import AirwayTree
 from carina.training.flight_frames import FRAME_HZ, FlightFrames
@@ -165,6 +165,11 @@ def _hour_of_wall(pose: Points, wall: WallField) -> float:
     found = wall.distance_mm(pose[:3, 3] + steps)
     towards = -(found[:3] - found[3:]) @ pose[:3, :3]
     return hours_of(float(towards[0]), float(towards[1]))
+
+
+def hour_text(hours: float) -> str:
+    """Return the whole clock hour nearest to a clock hour as text."""
+    return f"{whole_hour(hours)} o'clock"
 
 
 def path_length_mm(tips: Points) -> float:

@@ -15,6 +15,8 @@ MASTERY_IN_A_ROW = 2
 MASTERY_SOURCE = "Cold 2024, Respiration, 10.1159/000542045"
 """Source: mastery is two procedures with 18 segments, 18 progressions and less than 120 s each."""
 ATTEMPTS_FOR_VERDICT = 6
+NOT_AN_INSPECTION = "mastery is defined for the inspection of all segments"
+"""Reason of every attempt at another task; the doubts of the attempt are listed before it."""
 IN_A_ROW_RULE = "in a row: Carina's reading; the source states no order"
 NOT_COMPARABLE = "measured with another system; not directly comparable"
 VERDICT_SOURCE = "Konge 2011, Respiration 81:483"
@@ -133,7 +135,7 @@ def judge_mastery(scores: Sequence[Score]) -> Mastery:
     for number, score in enumerate(scores):
         why = [one.words for one in score.doubts]
         if score.task.kind != "inspect":
-            why.append("mastery is defined for the inspection of all segments")
+            why.append(NOT_AN_INSPECTION)
         why += [f"the conditions differ: {one}" for one in _other_conditions(score)]
         if score.diagnostic_completeness < 1:
             why.append("no segment was seen")

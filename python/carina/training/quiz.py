@@ -13,10 +13,11 @@ from numpy.typing import NDArray
 from carina.argument_checks import check_arguments, choice, instance, whole_from
 from carina.display import one_line
 from carina.errors import NoResultError
-from carina.plan.turns.fork_view import hours_of
+from carina.plan.turns.fork_view import hours_of, turned_hours
 from carina.scopes import DEFAULT_SCOPE, Pose, ScopePreset, WallField, scope_preset
 from carina.track import AirwayTree, Branch
 from carina.training.flight_frames import FlightFrames, FlightOptics
+from carina.training.handling import hour_text
 from carina.training.openings_in_sight import branch_openings, openings_in_sight
 from carina.training.segments import SURE_NAME, segments_of_case
 
@@ -45,7 +46,8 @@ class QuizQuestion:
     """Pose of the tip: it looks at the opening, or along the branch in which it is."""
     answer: str
     choices: tuple[str, ...]
-    """Names in random order, the right one included; for ``slices`` the clock hours of the openings, ascending."""
+    """Names in random order, the right one included; for ``slices`` the clock hours of the openings, ascending, for an
+    operator at the head end."""
     place_lps: tuple[float, float, float] | None = None
     """Place at which the three slices of the kind ``slices`` meet, LPS mm."""
 
@@ -159,12 +161,17 @@ def _slice_question(tree: AirwayTree, parent: Branch, wall: WallField, rng: rand
             continue
         branch = tree.branch(rng.choice(reached).branch_id)
         place = _along(branch, max(1.0 - INTO_BRANCH, LEAST_INTO_MM / branch.length_mm))
-        texts = {one.branch_id: f"{round(hour) or 12} o'clock" for one, hour in zip(openings, hours, strict=True)}
+        texts = {one.branch_id: hour_text(hour) for one, hour in zip(openings, hours, strict=True)}
         if len(set(texts.values())) < len(texts):
             continue
         choices = tuple(sorted(texts.values(), key=lambda text: int(text.split()[0])))
         return QuizQuestion(pose, texts[branch.id], choices, (float(place[0]), float(place[1]), float(place[2])))
     return None
+
+
+def turned_choice(choice: str) -> str:
+    """Return a choice of the kind ``slices`` for a picture that is turned by 180 degrees."""
+    return hour_text(turned_hours(float(choice.split(maxsplit=1)[0])))
 
 
 def _is_certain(branch: Branch) -> bool:

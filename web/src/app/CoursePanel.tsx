@@ -17,7 +17,7 @@ import {
   TextField,
 } from "react-aria-components";
 import { keyOf } from "../input/keymap";
-import { attemptText, type Curve, curvePlaces, curvesOf, curveTop } from "../state/course";
+import { attemptText, type Curve, countsText, curvePlaces, curvesOf, curveTop } from "../state/course";
 import { sentence } from "../state/format";
 import type { CourseInfo } from "../wire/messages";
 import { useApp, useStation } from "./context";
@@ -237,7 +237,7 @@ function CourseContent({ course }: { course: CourseInfo }) {
                 {one.number}. {one.title}
               </th>
               <td>{attemptText(one)}</td>
-              <td>{one.counts ? "yes" : one.is_inspection ? `no: ${one.reasons.join("; ")}` : "not an inspection"}</td>
+              <td>{countsText(one)}</td>
             </tr>
           ))}
         </tbody>

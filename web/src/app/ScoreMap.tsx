@@ -1,7 +1,7 @@
 /** Map of the airways and timeline of the score screen. */
 
 import { clock } from "../state/playing";
-import { mapBox, mapLines, timeColour, visitText } from "../state/score-map";
+import { mapBox, mapLines, spread, timeColour, visitText } from "../state/score-map";
 import type { FlightScore, TimelineMark } from "../wire/messages";
 import { useApp, useStation } from "./context";
 
@@ -40,11 +40,18 @@ const MARK_WORDS: Readonly<Record<TimelineMark["kind"], string>> = {
   revisit: "visited again",
 };
 
+/** Least distance between two buttons of the timeline, as a share of its length. */
+const MOMENT_SHARE = 0.07;
+
 /** Render the timeline of the procedure with its events, and buttons at the worst moments. */
 export function Timeline({ score }: { score: FlightScore }) {
   const station = useStation();
   const { clock_start_s: startS, clock_end_s: endS } = score;
   const share = (atS: number) => Math.min(Math.max((atS - startS) / Math.max(endS - startS, 1e-6), 0), 1);
+  const places = spread(
+    score.moments.map(({ time_s }) => share(time_s)),
+    MOMENT_SHARE,
+  );
   return (
     <figure className="timeline" data-testid="timeline" aria-label="Timeline of the flight">
       <div className="timeline-bar">
@@ -62,7 +69,7 @@ export function Timeline({ score }: { score: FlightScore }) {
             key={`${time_s} ${words}`}
             type="button"
             className="timeline-moment"
-            style={{ left: `${100 * share(time_s)}%` }}
+            style={{ left: `${100 * (places[n] ?? 0)}%` }}
             title={`${clock(time_s)} ${words}`}
             aria-label={`Replay from 3 s before ${clock(time_s)}: ${words}`}
             onClick={() => station.replayMoment(score.flight, time_s)}

@@ -1,6 +1,6 @@
 import { describe, expect, it } from "vitest";
 import type { CourseAttemptInfo, CourseInfo, ReferenceScores } from "../wire/messages";
-import { attemptText, curvePlaces, curvesOf } from "./course";
+import { attemptText, countsText, curvePlaces, curvesOf } from "./course";
 
 const attempt = (values: Partial<CourseAttemptInfo>): CourseAttemptInfo => ({
   number: 1,
@@ -59,6 +59,14 @@ describe("learning curves", () => {
       { x: 0, y: 25 },
       { x: 100, y: 0 },
     ]);
+  });
+
+  it("states why an attempt at another task does not count", () => {
+    expect(countsText(attempt({ is_inspection: false, counts: false }))).toBe("not an inspection");
+    expect(countsText(attempt({ is_inspection: false, counts: false, reasons: ["paused once"] }))).toBe(
+      "no: paused once",
+    );
+    expect(countsText(attempt({}))).toBe("yes");
   });
 
   it("An attempt at another task states its steps.", () => {

@@ -86,3 +86,9 @@ export function attemptText(one: CourseAttemptInfo): string {
       : `${one.num_steps_done} of ${one.num_steps} steps`;
   return `${result}, ${clock(one.published.time_s)}`;
 }
+
+/** Return whether an attempt counts, as text, with the reasons if it does not. */
+export function countsText({ counts, is_inspection: isInspection, reasons }: CourseAttemptInfo): string {
+  if (counts) return "yes";
+  return isInspection || reasons.length > 0 ? `no: ${reasons.join("; ")}` : "not an inspection";
+}

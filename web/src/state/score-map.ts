@@ -62,3 +62,17 @@ export function visitText({ name, seen_s: seenS, entered }: SegmentVisit, clock:
     ? `${name}: not seen`
     : `${name}: ${entered ? "entered" : "seen from outside"}, ${clock(seenS)}`;
 }
+
+/** Return positions on a line, 0 to 1, moved apart so that neighbours differ by at least `least`; in the given order. */
+export function spread(shares: readonly number[], least: number): readonly number[] {
+  const order = shares.map((_, n) => n).sort((a, b) => (shares[a] ?? 0) - (shares[b] ?? 0));
+  const found = [...shares];
+  let at = -least;
+  for (const n of order) found[n] = at = Math.max(found[n] ?? 0, at + least);
+  let most = 1;
+  for (const n of order.reverse()) {
+    found[n] = Math.min(found[n] ?? 0, most);
+    most = found[n] - least;
+  }
+  return found;
+}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import takewhile
 from typing import TYPE_CHECKING
 
 from carina import commands as c
@@ -10,6 +11,8 @@ from carina.session.command_registry import CommandHandlers, answers, does
 from carina.session.state.snapshot import ErrorEvent
 from carina.session.state.training import CourseAttemptInfo, CourseInfo, LearnerInfo, PublishedScores
 from carina.training import Course, Learner, Score, learner_files
+from carina.training.course import CourseAttempt
+from carina.training.mastery import NOT_AN_INSPECTION
 
 if TYPE_CHECKING:
     from carina.session.core import SessionCore
@@ -170,7 +173,7 @@ def _attempts(learner: Learner) -> tuple[CourseAttemptInfo, ...]:
     judged = iter(zip(mastery.counted, mastery.reasons, strict=True))
     found = []
     for number, one in enumerate(learner.attempts, start=1):
-        counts, reasons = next(judged) if one.is_inspection else (False, ())
+        counts, reasons = next(judged) if one.is_inspection else (False, _doubts(one))
         values = one.values
         found.append(
             CourseAttemptInfo(
@@ -195,3 +198,8 @@ def _attempts(learner: Learner) -> tuple[CourseAttemptInfo, ...]:
             )
         )
     return tuple(found)
+
+
+def _doubts(attempt: CourseAttempt) -> tuple[str, ...]:
+    """Return the doubts of an attempt at another task than an inspection, without the rules of mastery."""
+    return tuple(takewhile(lambda words: words != NOT_AN_INSPECTION, attempt.reasons))

@@ -5,21 +5,25 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import msgspec
+import numpy as np
 
 from carina import commands as c
 from carina.errors import NoResultError, UsageError
 from carina.render import FlatPlace, Sight
-from carina.scopes import WallField
+from carina.scopes import Pose, WallField
 from carina.session.command_registry import CommandHandlers, does
 from carina.session.flights.tip_commands import place_pose
 from carina.session.open_case.open_case import OpenCase
 from carina.session.state.training import QuizInfo
 from carina.track import Airways
 from carina.training import QuizKind, QuizQuestion, quiz_questions
+from carina.training.quiz import turned_choice
 from carina.volume.anatomical_planes import PLANES
 
 SLICE_MM_PER_PX = 0.4
 """Scale of the slices at a question with three slices."""
+TURN = np.diag([-1.0, -1.0, 1.0, 1.0])
+"""Turn of the picture by 180 degrees."""
 
 
 @dataclass(slots=True)
@@ -37,6 +41,27 @@ class _Quiz:
     """Sight before the quiz, whose crosshair and zoom are restored."""
 
     @property
+    def _is_turned(self) -> bool:
+        """Whether the picture is turned by 180 degrees, for an operator who faces the patient."""
+        return self.case.document.look.operator == "facing"
+
+    @property
+    def pose(self) -> Pose:
+        """Pose of the tip of the present question, upright for the operator."""
+        upright = self.questions[self.at].pose
+        return Pose(upright.lps_from_camera @ TURN) if self._is_turned else upright
+
+    def shown(self, choice: str) -> str:
+        """Return a choice as windows show it: clock hours are those of the picture that the operator sees."""
+        return turned_choice(choice) if self.kind == "slices" and self._is_turned else choice
+
+    @property
+    def choices(self) -> tuple[str, ...]:
+        """Choices of the present question as windows show them; clock hours are in ascending order."""
+        found = [self.shown(one) for one in self.questions[self.at].choices]
+        return tuple(sorted(found, key=lambda text: int(text.split()[0])) if self.kind == "slices" else found)
+
+    @property
     def info(self) -> QuizInfo:
         """The quiz as windows show it; the right answer only after the trainee's."""
         question = self.questions[self.at]
@@ -45,11 +70,11 @@ class _Quiz:
             kind=self.kind,
             number=self.at + 1,
             num_questions=len(self.questions),
-            choices=question.choices,
-            lps_from_tip=tuple(float(v) for v in question.pose.lps_from_camera.ravel()),
+            choices=self.choices,
+            lps_from_tip=tuple(float(v) for v in self.pose.lps_from_camera.ravel()),
             num_right=sum(given == one.answer for given, one in zip(self.answers, self.questions, strict=False)),
-            given=self.answers[self.at] if is_answered else None,
-            answer=question.answer if is_answered else None,
+            given=self.shown(self.answers[self.at]) if is_answered else None,
+            answer=self.shown(question.answer) if is_answered else None,
             is_over=len(self.answers) == len(self.questions),
         )
 
@@ -93,7 +118,7 @@ class QuizHandlers(CommandHandlers):
     def _ask(self) -> None:
         assert self._quiz is not None
         question = self._quiz.questions[self._quiz.at]
-        self.core.fly(place_pose(question.pose))
+        self.core.fly(place_pose(self._quiz.pose))
         place = question.place_lps
         if place is not None:
             near = {view: FlatPlace(mm_per_px=SLICE_MM_PER_PX) for view in PLANES}
@@ -116,12 +141,12 @@ class QuizHandlers(CommandHandlers):
             quiz = self._needed()
             if len(quiz.answers) > quiz.at:
                 raise UsageError("this question is answered already; go to the next one", code="training.quiz")
-            choices = quiz.questions[quiz.at].choices
+            choices = {quiz.shown(one): one for one in quiz.questions[quiz.at].choices}
             if command.name not in choices:
                 raise UsageError(
-                    f"quiz: expected one of {', '.join(choices)}; found {command.name!r}", code="training.quiz"
+                    f"quiz: expected one of {', '.join(quiz.choices)}; found {command.name!r}", code="training.quiz"
                 )
-            quiz.answers.append(command.name)
+            quiz.answers.append(choices[command.name])
             self.core.changed("training")
 
     @does(c.NextQuestion)
@@ -173,10 +198,15 @@ class QuizHandlers(CommandHandlers):
             )
 
     def follow(self, case: OpenCase) -> None:
-        """End the quiz after a change of the airways; the caller holds the session's lock."""
+        """End the quiz after a change of the airways or update its hours; the caller holds the session's lock."""
         quiz = self._quiz
-        if quiz is not None and (quiz.case is not case or case.document.airways is not quiz.airways):
+        if quiz is None:
+            return
+        if quiz.case is not case or case.document.airways is not quiz.airways:
             self._end()
+            self.core.changed("training")
+        else:
+            # Pose and clock hours depend on the operator's position, which may have changed.
             self.core.changed("training")
 
     def discard(self) -> None:

@@ -236,6 +236,7 @@ export function AttemptClock({ attempt }: { attempt: Attempt }) {
 function Scores({ scores, verdict }: { scores: readonly FlightScore[]; verdict: string | null }) {
   const station = useStation();
   const flights = useApp((state) => state.flights);
+  const learner = useApp((state) => state.training?.course.chosen ?? null);
   const unscored = flights.filter(
     ({ number, state }) => state !== "recording" && !scores.some(({ flight }) => flight === number),
   );
@@ -277,7 +278,9 @@ function Scores({ scores, verdict }: { scores: readonly FlightScore[]; verdict: 
               </span>
               <Act
                 label="Score it"
-                words={`Score ${name(number)} by its task, or as an inspection of all segments`}
+                words={`Score ${name(number)} by its task, or as an inspection of all segments.${
+                  learner === null ? "" : ` The score of a task is stored for ${learner}.`
+                }`}
                 testId={`score-flight-${number}`}
                 onPress={() => station.send({ type: "score_flight", number })}
               />
