@@ -52,8 +52,7 @@ Cases (``carina.session``, ``carina.commands``, ``carina.case``)
 Rendering on several machines: ``help("carina.cluster")``
 
 Errors (``carina.errors``)
-    CarinaError         Base of all errors; each has a stable code
-    UsageError, VolumeImportError, NoResultError
+    CarinaError         Base of all errors, each with a stable code: UsageError, VolumeImportError, NoResultError
 """
 
 from __future__ import annotations

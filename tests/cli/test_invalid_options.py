@@ -61,6 +61,8 @@ GOOD: dict[str, list[str]] = {
     "plan": ["CT", "--target", POINT, "-o", "plan.html"],
     "render": ["CT", "-o", "picture.png"],
     "score": ["flight.jsonl", "CT"],
+    "course": ["Blue heron"],
+    "insert": ["CT", "-o", "marked.nii.gz"],
     "track": ["CT", "--target", POINT],
 }
 """Valid arguments of each command, with which it begins its work."""

@@ -20,6 +20,7 @@ OPENS = {
     "render xray-set": ("-o", "{}/picture.png", "--view", "xray-set"),
     "isoregion": ("-o", "{}/map.nrrd"),
     "fly": ("--to", "1", "-o", "{}/film.mp4"),
+    "insert": ("-o", "{}/marked.nii.gz"),
     "score": (),
     "open": ("--no-browser",),
 }

@@ -305,7 +305,7 @@ def test_text_in_hidden_places_is_removed(tmp_path, edit):
 
 def test_mask_outside_of_the_image_refuses_the_image(tmp_path):
     source = series(tmp_path / "scan", burn, hu=chest()[:2])
-    with pytest.raises(VolumeImportError, match="a rectangle of the mask is outside of it"):
+    with pytest.raises(VolumeImportError, match="a rectangle to blacken is outside of it"):
         carina.deidentify(source, tmp_path / "copy", mask=[(0, 0, 8, 8), (5000, 0, 10, 10)])
     assert not (tmp_path / "copy").exists()
 

@@ -87,8 +87,12 @@ def test_plan_is_printed_six_clicks_after_opening_the_ct_with_the_answer_on_the_
     assert page.evaluate(OUTSIDE) == []
     verdict = page.get_by_test_id("verdict").first
     assert verdict.inner_text().strip()
+    # The page shows a new state with its next picture.
+    workstation.wait_for(
+        "document.querySelectorAll('.routes thead th').length === "
+        "1 + window.__carina.state.plans.targets[0].routes.length"
+    )
     routes = workstation.state("plans.targets[0].routes")
-    assert page.locator(".routes thead th").count() == 1 + len(routes)
     outlook = page.get_by_role("row").filter(has=page.get_by_role("rowheader", name="Outlook"))
     assert outlook.get_by_role("cell").all_inner_texts() == [route["outlook"] for route in routes]
     assert workstation.state("route.needle.ends_lps[1]") == pytest.approx(routes[0]["leg"]["aim_lps"], abs=0.01)

@@ -300,6 +300,7 @@ def with_lumen(plan: Plan, points: np.ndarray, measured_mm: float, error_mm: flo
         np.full(num, RADIUS_MM),
         np.full(num, 0.5 * measured_mm - RADIUS_MM),
         np.full(num, error_mm),
+        np.full(num, RADIUS_MM - 0.5 * measured_mm),
     )
     (route,) = plan.routes
     width = dataclasses.replace(route.width, mm=measured_mm, error_mm=error_mm)

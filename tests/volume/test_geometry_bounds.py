@@ -11,6 +11,7 @@ import pytest
 
 from carina.errors import VolumeImportError
 from carina.volume.dicom_geometry import grid_from_slices
+from carina.volume.dicom_headers import SETTINGS
 from carina.volume.grid_headers import _check as check_grid_header
 from carina.volume.header_fields import GridHeader
 from carina.volume.quality import trusted_generation
@@ -34,6 +35,7 @@ def stack(
             row_lps=row,
             column_lps=column,
             spacing_mm=spacing,
+            settings=("",) * len(SETTINGS),
         )
         for n, position in enumerate(positions)
     ]

@@ -109,7 +109,7 @@ def changed(tmp_path, old: bytes, new: bytes, coding: str = "raw-zlib"):
         (b'type="Int16"', b'type="Int32"', "import.truncated"),
         (b"<?xml", b"<!DOCTYPE x><?xml", "import.header"),
         (b'Name="ct"', b'NumberOfComponents="3" Name="ct"', "import.not-3d"),
-        (b'offset="0"', b'offset="-99999"', "import.truncated"),
+        (b'offset="0"', b'offset="-99999"', "import.header"),
         (b'Origin="-11.25', b'Origin="x11.25', "import.header"),
     ],
 )

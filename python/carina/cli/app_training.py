@@ -142,6 +142,7 @@ def insert(
     ] = False,
     truth: Annotated[Path | None, typer.Option("--truth", help="File to write with the exact nodule: .json.")] = None,
     series: SeriesOption = None,
+    strict: StrictOption = False,
     ct: CtOption = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -167,6 +168,7 @@ def insert(
                 through_vessels=through_vessels,
                 truth=truth,
                 series=series,
+                strict=strict,
                 ct=ct,
                 as_json=as_json,
             )

@@ -35,6 +35,7 @@ def report(
     through_vessels: bool,
     truth: Path | None,
     series: str | None,
+    strict: bool,
     ct: Path | None,
     as_json: bool,
 ) -> int:
@@ -51,7 +52,7 @@ def report(
         raise UsageError(f"-o: {output} is the scan itself, which is never changed; choose another file")
     check_case_options(path, ct)
     progress = progress_printer()
-    source = open_input(path, series=series, progress=progress, ct=ct)
+    source = open_input(path, series=series, strict=strict, progress=progress, ct=ct)
     volume = source.volume
     check_grid_fits(output, volume.shape_zyx, volume.lps_from_ijk, what="the CT")
     airways = source.airways(progress)

@@ -35,7 +35,7 @@ from carina.volume.scan_place import scan_place
 __all__ = ["DeidentifiedImages", "deidentify"]
 
 _MAX_BOXES = 64
-_OUTSIDE = "it may show text, and a rectangle of the mask is outside of it"
+_OUTSIDE = "it may show text, and a rectangle to blacken is outside of it"
 _PIXELS = ("PixelData", "FloatPixelData", "DoubleFloatPixelData")
 
 

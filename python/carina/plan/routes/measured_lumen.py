@@ -45,7 +45,10 @@ class MeasuredLumen:
     error_mm: Points
     """Half (n,) of the interval in mm that contains the true diameter with 90 % probability."""
     surplus_mm: Points
-    """Radius of the ball less the measured radius (n,) by sections away from forks alone, mm; -inf in a wide lumen."""
+    """Radius of the ball less the measured radius (n,) by sections away from forks alone, mm.
+
+    It is -`WIDE_MM` in a wide lumen, whose wall is not moved.
+    """
 
     def widened(self, wall: WallField) -> WallField:
         """Return a wall with the measured lumen where the segmented lumen is narrower.
@@ -71,6 +74,7 @@ class MeasuredLumen:
             Share of each diameter's error by which the measured lumen is narrower.
         """
         excess = np.maximum(self.surplus_mm + 0.5 * error_share * self.error_mm, 0.0)
+        excess[self.surplus_mm <= -WIDE_MM] = 0.0
         return self._with_tube(wall, error_share=error_share, excess=excess)
 
     def _with_tube(self, wall: WallField, *, error_share: float, excess: Points) -> WallField:
@@ -133,7 +137,7 @@ def measured_lumen(lineage: Sequence[Branch], wall: WallField, measures: TreeMea
         np.minimum(ball[own], WIDE_MM),
         np.where(is_narrow, lack[own], 0.0),
         error[own],
-        np.where(is_narrow, surplus[own], -np.inf),
+        np.where(is_narrow, surplus[own], -WIDE_MM),
     )
 
 
