@@ -266,7 +266,7 @@ def test_command_writes_the_marked_ct_and_the_truth(tmp_path, chest, capsys):
     write_grid(scan, chest.volume.hu_zyx, chest.volume.lps_from_ijk, what="the CT")
     code = report(
         scan, output=output, at_lps=None, kind="part-solid", diameter_mm=12.0, core_mm=None, density_hu=None,
-        spiculation=0.5, seed=1, through_vessels=False, truth=truth, series=None, ct=None, as_json=True,
+        spiculation=0.5, seed=1, through_vessels=False, truth=truth, series=None, strict=False, ct=None, as_json=True,
     )  # fmt: skip
     assert code == 0
     printed = json.loads(capsys.readouterr().out)
