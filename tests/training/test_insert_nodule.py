@@ -278,5 +278,6 @@ def test_command_writes_the_marked_ct_and_the_truth(tmp_path, chest, capsys):
     with pytest.raises(UsageError, match="the scan itself"):
         report(
             scan, output=scan, at_lps=None, kind="solid", diameter_mm=12.0, core_mm=None, density_hu=None,
-            spiculation=0.0, seed=1, through_vessels=False, truth=None, series=None, ct=None, as_json=True,
+            spiculation=0.0, seed=1, through_vessels=False, truth=None, series=None, strict=False, ct=None,
+            as_json=True,
         )  # fmt: skip
