@@ -125,7 +125,7 @@ test-gpu: $(STAMP) ## the GPU caster and the wheel, on a software adapter where 
 	$(UV) pip install -q --python .venv-gpu/bin/python --no-deps target/gpu-wheel/*.whl
 	CARINA_GPU_REQUIRED=1 .venv-gpu/bin/python -m pytest -m gpu -ra tests
 
-# JupyterLab has an environment of its own: only one test of `make soak` needs its hundred packages.
+# JupyterLab has a separate environment, because only one test of `make soak` needs its hundred packages.
 NOTEBOOK_STAMP := .venv-notebook/.carina-notebook
 $(NOTEBOOK_STAMP):
 	test -x .venv-notebook/bin/python || $(UV) venv -q .venv-notebook

@@ -1,6 +1,6 @@
 """`carina.show` in a real JupyterLab: pictures, mouse and keyboard, and a change by another cell.
 
-``make soak`` installs JupyterLab in an environment of its own and names its program in ``CARINA_JUPYTER``.
+``make soak`` installs JupyterLab in a separate environment and sets ``CARINA_JUPYTER`` to the path of ``jupyter``.
 """
 
 from __future__ import annotations

@@ -335,7 +335,7 @@ def _largest_piece(mesh: Mesh) -> Mesh:
     parts = np.einsum("na,na->n", corners[:, 0], np.cross(corners[:, 1], corners[:, 2]))
     volumes = np.bincount(owner, weights=parts, minlength=len(labels))
     largest = int(np.argmax(volumes))
-    # A narrow part of a lumen may be a cavity of its own, whose surface encloses a negative volume.
+    # A narrow part of a lumen may be a separate cavity, whose surface encloses a negative volume.
     solids = [one for one in np.unique(owner).tolist() if volumes[one] > 0.0 and one != largest]
     boxes = [(mesh.vertices_lps[labels == one].min(axis=0), mesh.vertices_lps[labels == one].max(axis=0))
              for one in solids]  # fmt: skip

@@ -11,7 +11,7 @@ export interface KeyboardHandlers {
   slow(on: boolean): void;
   /** Return whether an action is possible now. If it is not, the browser receives its key. */
   isAvailable(action: Action): boolean;
-  /** Return whether an attempt at a task is running, which has keys of its own. */
+  /** Return whether an attempt at a task is running; an attempt has separate keys. */
   inTask(): boolean;
   /** Return whether a tool is active, which Escape then deactivates. */
   holdsTool(): boolean;

@@ -157,7 +157,7 @@ class ForkWalls:
         self.own_mouths_lps: list[Points] = []
         """For each branch the point at which its own centreline begins, (3,) LPS mm.
 
-        Its subtree counts only if no point of its own centreline has left the lumens of the other branches.
+        Its subtree counts only if no point of its centreline has left the lumens of the other branches.
         """
         self.axes_lps: list[Points] = []
         """For each branch the points (n, 3) of its centreline from this beginning on, LPS mm."""
