@@ -25,6 +25,8 @@ def record(workstation, num, *, leaves=0):
     workstation.hold("w", 600)
     page.get_by_test_id("record").click()
     workstation.wait_for("window.__carina.state.flights.at(-1).state === 'complete'")
+    # The flights arrive before the devices, whose state decides whether the button begins or ends a recording.
+    workstation.wait_for("window.__carina.state.devices?.recording === null")
 
 
 def names(workstation):
