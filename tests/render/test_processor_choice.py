@@ -12,7 +12,14 @@ import pytest
 from carina import _core
 from carina.errors import RenderError
 from carina.render import Adapter, AirwayView, Backend, Picture, Renderer, RenderStats, find_adapters
-from carina.render.graphics_device import NUM_PAIRS, PICTURES_FIRST, PICTURES_WITHOUT_MAP, SLOW_PICTURES, DeviceCaster
+from carina.render.graphics_device import (
+    NUM_PAIRS,
+    PICTURES_FIRST,
+    PICTURES_WITHOUT_MAP,
+    SLOW_PICTURES,
+    SLOWER_PICTURES,
+    DeviceCaster,
+)
 from carina.render.processor_choice import differing_share
 from carina.scopes import Pose
 
@@ -277,3 +284,50 @@ def test_build_without_gpu_support_reports_it_and_renders_on_the_cpu(airway):
     renderer = Renderer(airway.volume, backend=Backend("gpu"))
     picture = renderer.render(AirwayView(airway.pose, width=40, height=30))
     assert picture.stats.method == "brute"
+
+
+def test_graphics_device_that_has_become_slower_than_the_cpu_is_measured_again_and_reported(tmp_path):
+    record = tmp_path / "backend.json"
+    fixture, scene = BackendFixture(SimulatedDevice(gpu_ms=2.0, cpu_ms=10.0), "auto", record=record), a_scene()
+    reported = []
+    fixture.backend.subscribe(reported.append)
+    assert fixture.fly(scene)[-1] == "gpu"
+    fixture.device.ms["gpu"] = 15.0
+    assert fixture.fly(scene, SLOWER_PICTURES) == ["gpu"] * SLOWER_PICTURES
+    assert set(fixture.fly(scene)) == {"cpu"}
+    assert reported == [fixture.backend.trouble]
+    assert "no longer used" in reported[0]
+    assert "15.0 ms" in reported[0]
+    assert Backend("auto", record=record).measurements[0].chosen, "the next start measures nothing worse than before"
+
+
+def test_graphics_device_whose_picture_is_slower_than_the_measured_one_stays_in_use_if_the_cpu_is_slower_too():
+    fixture, scene = BackendFixture(SimulatedDevice(gpu_ms=2.0, cpu_ms=10.0), "auto"), a_scene()
+    assert fixture.fly(scene)[-1] == "gpu"
+    fixture.device.ms.update(gpu=15.0, cpu=40.0)
+    drawn = fixture.fly(scene, SLOWER_PICTURES + 20)
+    assert drawn[:SLOWER_PICTURES] == ["gpu"] * SLOWER_PICTURES
+    assert drawn[-1] == "gpu"
+    assert fixture.backend.trouble is None
+    assert set(fixture.fly(scene, SLOWER_PICTURES + 20)) == {"gpu"}, "compared with the CPU's new time"
+
+
+def test_user_may_change_the_processor_while_the_program_runs():
+    fixture, scene = BackendFixture(SimulatedDevice(), "cpu"), a_scene()
+    assert fixture.picture(scene) == "cpu"
+    fixture.backend.set_mode("gpu")
+    assert fixture.picture(scene) == "gpu"
+    fixture.device.error = RenderError("the graphics device Card 9000 cannot be used: lost", code="render.gpu")
+    assert set(fixture.fly(scene)) == {"cpu"}
+    assert "lost" in fixture.backend.trouble
+    fixture.device.error = None
+    fixture.backend.set_mode("gpu")
+    assert fixture.backend.trouble is None
+    assert fixture.picture(scene) == "gpu", "the user asked for the device again"
+    fixture.backend.set_mode("cpu")
+    assert fixture.picture(scene) == "cpu"
+    assert fixture.caster._resident is None, "the memory of the device is released"
+    fixture.backend.set_mode("auto")
+    assert fixture.fly(scene)[-1] == "gpu"
+    with pytest.raises(RenderError, match="abacus"):
+        fixture.backend.set_mode("abacus")

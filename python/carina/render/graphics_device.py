@@ -31,6 +31,9 @@ WORTH_IT = 0.9
 # pictures after which the device is given up: another program may use the device, or the driver may have slowed it.
 MAX_SLOWNESS = 3.0
 SLOW_PICTURES = 10
+# Number of consecutive pictures that take longer than on the CPU after which CPU and device are measured again. A
+# single picture proves nothing: another pose or look may cost the CPU more than the measured picture did.
+SLOWER_PICTURES = 60
 # Error code of a limit of this volume or view, not of the device: another volume may fit.
 LIMIT = "render.gpu-limit"
 FAILED = "render.gpu"
@@ -94,11 +97,14 @@ class DeviceCaster:
         self._unfit: NDArray[np.int16] | None = None
         self._num_seen = 0
         # In auto, three states: not measured; measured without a choice (adapter None); measured, with an adapter.
-        self._is_decided = backend.mode != "auto"
+        self._is_measured = False
         self._adapter: Adapter | None = None
+        # Whether the coming measurement repeats an earlier one, because the chosen device has become slower.
+        self._measures_again = False
         # Time of a pixel on the CPU in the view with which the adapter was measured, in seconds.
         self._cpu_s_per_pixel: float | None = None
         self._num_slow = 0
+        self._num_slower = 0
 
     def try_cast(self, scene: Scene, view: AirwayView, *, leaps: bool, cast: Cast) -> Picture | None:
         """Return the picture from the device, or None if the CPU must render it.
@@ -120,23 +126,29 @@ class DeviceCaster:
         return picture
 
     def _count_device_picture(self, scene: Scene, picture: Picture, seconds: float) -> None:
-        """Stop using a device that was chosen for its speed if it has become much slower than the CPU was."""
+        """Give up or measure again a device that was chosen for its speed and has become slower than the CPU was."""
         num_pixels = picture.rgb.shape[0] * picture.rgb.shape[1]
         if self._backend.mode != "auto" or self._cpu_s_per_pixel is None or num_pixels < MIN_PIXELS:
             return
-        is_slow = seconds > MAX_SLOWNESS * self._cpu_s_per_pixel * num_pixels
-        self._num_slow = self._num_slow + 1 if is_slow else 0
+        cpu_s = self._cpu_s_per_pixel * num_pixels
+        self._num_slow = self._num_slow + 1 if seconds > MAX_SLOWNESS * cpu_s else 0
+        self._num_slower = self._num_slower + 1 if seconds > cpu_s else 0
         if self._num_slow >= SLOW_PICTURES:
             self._num_slow = 0
             words = f"the graphics device has become slow: {1e3 * seconds:.0f} ms per image"
             self._stop_after_error(scene, RenderError(words, code=FAILED))
+        elif self._num_slower >= SLOWER_PICTURES:
+            # The CPU renders the next pictures, and the measurement follows them as at the start.
+            self._num_slower = 0
+            self._num_seen = 0
+            self._adapter, self._is_measured, self._measures_again = None, False, True
 
     def count_cpu_picture(self, scene: Scene, view: AirwayView) -> None:
         """Count a whole picture that the CPU has rendered.
 
         In ``auto``, start the measurement of the adapters after some pictures.
         """
-        if self._is_decided or view.width * view.height < MIN_PIXELS:
+        if self._backend.mode != "auto" or self._is_measured or view.width * view.height < MIN_PIXELS:
             return
         with self._lock:
             self._num_seen += 1
@@ -148,7 +160,11 @@ class DeviceCaster:
 
     def _find_device_scene(self, scene: Scene, *, leaps: bool) -> _core.GpuScene | None:
         mode = self._backend.mode
-        if mode == "cpu" or not self._is_decided or (mode == "auto" and self._adapter is None):
+        if mode == "cpu":
+            # The memory of the device is released if the user has just chosen the CPU.
+            self._resident = None
+            return None
+        if mode == "auto" and self._adapter is None:
             return None
         if scene.values is self._unfit:
             return None
@@ -210,7 +226,7 @@ class DeviceCaster:
         resident, self._resident = self._resident, None
         if error.code == LIMIT:
             if self._unfit is not scene.values:
-                log.warning("this volume is rendered on the CPU: %s", error)
+                self._backend.report_unused(f"this volume is rendered on the CPU: {error}")
             self._unfit = scene.values
             return
         if adapter is None:
@@ -221,7 +237,8 @@ class DeviceCaster:
     def _try_adapters(self, scene: Scene, view: AirwayView) -> None:
         try:
             done = all(self._measure_adapter(adapter, scene, view) for adapter in self._backend.adapters())
-            self._is_decided = done or self._adapter is not None
+            self._is_measured = done or self._adapter is not None
+            self._measures_again = self._measures_again and not self._is_measured
         finally:
             self._is_busy = False
 
@@ -230,7 +247,8 @@ class DeviceCaster:
 
         Return False to end the search (adapter chosen, or the picture is too dark to measure).
         """
-        known = self._backend.measurement(adapter, scene.values.shape)
+        again = self._measures_again
+        known = None if again else self._backend.measurement(adapter, scene.values.shape)
         if known is not None and not known.chosen:
             return True
         started = self._clock()
@@ -257,9 +275,13 @@ class DeviceCaster:
                 why = f"{words}: {gpu_ms:.1f} ms per image, CPU {cpu_ms:.1f} ms"
         except RenderError as error:
             chosen, why = False, str(error)
+        # A device that became slower is not excluded on disk: another program may have used it at the same time.
         self._backend.store_measurement(
             AdapterMeasurement(adapter.name, adapter.driver, scene.values.shape, chosen, why, cpu_ms, gpu_ms),
+            on_disk=chosen or not again,
         )
+        if again and not chosen:
+            self._backend.report_unused(f"the graphics device is no longer used: {why}")
         log.info("graphics adapter %s: %s", adapter.name, why)
         if chosen:
             self._adapter, self._cpu_s_per_pixel = adapter, cpu_s_per_pixel

@@ -108,10 +108,10 @@ class Backend:
         find: Callable[[], Sequence[Adapter] | None] = find_adapters,
         open_device: Callable[[int], _core.Gpu] = _core.Gpu,
     ) -> None:
-        if mode not in BACKENDS:
-            msg = f"the backend must be one of {', '.join(BACKENDS)}; found {mode!r}"
-            raise RenderError(msg, code="render.setting")
-        self.mode = mode
+        _check_mode(mode)
+        self._mode = mode
+        self._trouble: str | None = None
+        self._listeners: list[Callable[[str], None]] = []
         self._record = record
         self._find = find
         self._open = open_device
@@ -119,13 +119,41 @@ class Backend:
         self._opened: dict[int, _core.Gpu] = {}
         self._unusable: dict[int, str] = {}
         self._measurements: dict[tuple[str, str, tuple[int, int, int]], AdapterMeasurement] = {}
-        self._was_logged = False
         if record is not None:
             self._measurements = {_measurement_key(v): v for v in _read(record)}
 
     def __repr__(self) -> str:
         """Return a one-line description of this `Backend` for the Python interpreter."""
         return f"Backend({self.mode!r})"
+
+    @property
+    def mode(self) -> str:
+        """Choice of the processor: ``cpu``, ``gpu`` or ``auto``."""
+        return self._mode
+
+    def set_mode(self, mode: str) -> None:
+        """Change the choice of the processor for the next picture of every volume.
+
+        A device that was given up earlier may be used again: the user may have restarted its driver.
+
+        Raises
+        ------
+        RenderError
+            If there is no such mode.
+        """
+        _check_mode(mode)
+        with self._lock:
+            self._mode, self._trouble = mode, None
+            self._unusable.clear()
+
+    @property
+    def trouble(self) -> str | None:
+        """Reason why the CPU renders although a graphics device was in use or is selected; None without a reason."""
+        return self._trouble
+
+    def subscribe(self, listener: Callable[[str], None]) -> None:
+        """Call a function with the reason when a graphics device is given up; from any thread."""
+        self._listeners.append(listener)
 
     def adapters(self) -> tuple[Adapter, ...]:
         """Return the adapters that may be used in this mode, in order of preference."""
@@ -144,14 +172,25 @@ class Backend:
             return device
 
     def stop_using(self, adapter: Adapter | None, reason: str) -> None:
-        """Stop using an adapter in this process; the first call logs a warning."""
+        """Stop using an adapter until the choice changes; the first reason is reported, see :meth:`report`."""
         with self._lock:
             if adapter is not None:
                 self._unusable[adapter.index] = reason
                 self._opened.pop(adapter.index, None)
-            was_logged, self._was_logged = self._was_logged, True
-        if not was_logged:
-            log.warning("rendering on the CPU from now on: %s", reason)
+            is_known, self._trouble = self._trouble is not None, self._trouble or reason
+        if not is_known:
+            self._report(f"rendering on the CPU from now on: {reason}")
+
+    def report_unused(self, reason: str) -> None:
+        """Report that the CPU renders although a graphics device was in use or is selected."""
+        with self._lock:
+            self._trouble = reason
+        self._report(reason)
+
+    def _report(self, words: str) -> None:
+        log.warning("%s", words)
+        for listener in self._listeners:
+            listener(words)
 
     @property
     def measurements(self) -> tuple[AdapterMeasurement, ...]:
@@ -162,13 +201,19 @@ class Backend:
         """Return the measurement of an adapter with this driver, on volumes of this shape; None if there is none."""
         return self._measurements.get((adapter.name, adapter.driver, shape_zyx))
 
-    def store_measurement(self, measurement: AdapterMeasurement) -> None:
-        """Store a measurement in memory and in the file of measurements."""
+    def store_measurement(self, measurement: AdapterMeasurement, *, on_disk: bool = True) -> None:
+        """Store a measurement in memory and, with ``on_disk``, in the file of measurements."""
         with self._lock:
             self._measurements[_measurement_key(measurement)] = measurement
             measurements = list(self._measurements.values())
-        if self._record is not None:
+        if self._record is not None and on_disk:
             _write(self._record, measurements)
+
+
+def _check_mode(mode: str) -> None:
+    if mode not in BACKENDS:
+        msg = f"the backend must be one of {', '.join(BACKENDS)}; found {mode!r}"
+        raise RenderError(msg, code="render.setting")
 
 
 def _measurement_key(measurement: AdapterMeasurement) -> tuple[str, str, tuple[int, int, int]]:
