@@ -161,7 +161,7 @@ class ViewRow:
     orbit: Orbit | None = None
     """Initial position of the orbit camera."""
     max_px: int = 768
-    """Longest side of a picture in the window; a larger picture takes more time without a visible gain."""
+    """Longest side of a picture in the window, pixels; smaller views gain nothing visible from more."""
 
 
 def _grey_settings(s: ViewSettings) -> tuple[float, float]:
@@ -365,7 +365,7 @@ VIEWS: Mapping[str, ViewRow] = MappingProxyType(
                 costly=True,
                 at_tip=True,
                 named=True,
-                max_px=1024,
+                max_px=3840,
             ),
             *(_slice_row(plane) for plane in PLANES),
             ViewRow(

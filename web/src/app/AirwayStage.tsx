@@ -288,6 +288,14 @@ function AirwayTools() {
         on={outline !== "none"}
         onChange={() => station.act("toggle_shape")}
       />
+      <Act
+        kind="icon"
+        icon="screen"
+        words="Airway view alone on the whole screen, and back"
+        keys={keyOf("full_screen")}
+        testId="full-screen"
+        onPress={() => station.act("full_screen")}
+      />
       <PictureMenu view={LEAD_VIEW} />
     </div>
   );

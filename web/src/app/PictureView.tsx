@@ -10,6 +10,22 @@ import type { ViewName } from "../wire/messages";
 import { useStation } from "./context";
 import { gesturesOf } from "./gestures";
 
+/**
+ * Call a function when the number of device pixels per CSS pixel changes, as between two screens; return a function that
+ * ends this. The size of an element may stay the same, so a `ResizeObserver` does not notice the change.
+ */
+function onPixelRatioChange(changed: () => void): () => void {
+  let query = window.matchMedia(`(resolution: ${window.devicePixelRatio}dppx)`);
+  const react = () => {
+    query.removeEventListener("change", react);
+    query = window.matchMedia(`(resolution: ${window.devicePixelRatio}dppx)`);
+    query.addEventListener("change", react);
+    changed();
+  };
+  query.addEventListener("change", react);
+  return () => query.removeEventListener("change", react);
+}
+
 interface PictureViewProps {
   view: ViewName;
   shape: Shape;
@@ -32,16 +48,18 @@ export function PictureView({ view, shape, name, onDoubleClick }: PictureViewPro
     const made = new Viewport(element, first.current.view, first.current.shape);
     viewport.current = made;
     const measure = () => {
-      made.resize(element.clientWidth, element.clientHeight, Math.min(window.devicePixelRatio || 1, 2));
+      made.resize(element.clientWidth, element.clientHeight, window.devicePixelRatio || 1);
       station.wall.touchLayout();
     };
     measure();
     const observer = new ResizeObserver(measure);
     observer.observe(element);
+    const stopWatching = onPixelRatioChange(measure);
     const remove = station.wall.add(made);
     const stopGestures = gesturesOf(station, made, () => double.current());
     return () => {
       observer.disconnect();
+      stopWatching();
       stopGestures();
       remove();
       viewport.current = null;

@@ -38,6 +38,15 @@ export function WorkstationPage() {
   const armed = useApp((state) => state.ui.armed);
   const choosesTarget = useApp((state) => choosesTargetIn(state.ui));
   const training = useApp(trainingLayout);
+  const station = useStation();
+  // The browser leaves the whole screen by its own key too.
+  useEffect(() => {
+    const left = () => {
+      if (document.fullscreenElement === null && station.state.ui.full === LEAD_VIEW) station.ui({ full: null });
+    };
+    document.addEventListener("fullscreenchange", left);
+    return () => document.removeEventListener("fullscreenchange", left);
+  }, [station]);
   const lost = useApp((state) => state.connection.status === "lost" || state.connection.status === "refused");
   return (
     <div

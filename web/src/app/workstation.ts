@@ -677,6 +677,7 @@ export class Workstation implements Station {
       this.sendSoon({ type: "set_slab", ...(SLABS[(at + 1) % SLABS.length] ?? SLABS[0]) });
     },
     toggle_shape: () => this.#toggleOutline(),
+    full_screen: () => this.#toggleFullScreen(),
     toggle_outline: () => this.ui({ outlineVisible: !this.state.ui.outlineVisible }),
     save_video: () => this.films.open({ kind: "route" }),
     save_picture: () => this.pictures.saveFocused(),
@@ -723,6 +724,19 @@ export class Workstation implements Station {
       else this.store.dispatch({ kind: "picks", picks: [] });
     },
   };
+
+  /** Show the airway view alone on the whole screen, or leave the whole screen. */
+  #toggleFullScreen(): void {
+    if (document.fullscreenElement !== null) {
+      void document.exitFullscreen();
+      return;
+    }
+    this.ui({ full: LEAD_VIEW });
+    // The whole page is requested, because dialogs and lists are beside the airway view in the page.
+    document.documentElement.requestFullscreen?.().catch(() => {
+      this.notice("The browser does not allow the whole screen here. The airway view fills the window instead.");
+    });
+  }
 
   #setWindow(name: keyof typeof WINDOWS): void {
     if (this.state.session?.case?.is_hu === false) {

@@ -25,6 +25,7 @@ export type Action =
   | "toggle_tone"
   | "next_slab"
   | "toggle_shape"
+  | "full_screen"
   | "toggle_outline"
   | "toggle_route_line"
   | "save_picture"
@@ -295,6 +296,7 @@ const PAGE: readonly Binding[] = [
   {
     place: "page",
     key: "f",
+    shift: false,
     label: "F",
     words: "Switch the operator between the head end and facing the patient",
     group: "Look",
@@ -504,6 +506,15 @@ const PAGE: readonly Binding[] = [
     words: "Airway view: round or full frame",
     group: "Views",
     command: press("toggle_shape"),
+  },
+  {
+    place: "page",
+    key: "f",
+    shift: true,
+    label: "Shift+F",
+    words: "Airway view alone on the whole screen, and back",
+    group: "Views",
+    command: press("full_screen"),
   },
   {
     place: "page",

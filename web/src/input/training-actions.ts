@@ -8,6 +8,7 @@ import type { Action } from "./keymap";
  */
 export const TRAINING_ACTIONS: ReadonlySet<Action> = new Set<Action>([
   "flip_operator",
+  "full_screen",
   "key_card",
   "leave",
   "level_horizon",

@@ -104,7 +104,7 @@ export const VIEWS = {
     named: true,
     straight: false,
     orbit: null,
-    max_px: 1024,
+    max_px: 3840,
   },
   "axial": {
     title: "Axial",
