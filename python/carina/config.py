@@ -1,10 +1,11 @@
-"""Settings of Carina, read from the environment; the only module that knows the user's folders.
+"""Settings of Carina, read from the environment and the user's choices; the only module that knows the user's folders.
 
 Other modules receive a :class:`Settings`, or a folder from it, as an argument.
 """
 
 from __future__ import annotations
 
+import json
 import logging
 import math
 import os
@@ -17,11 +18,14 @@ import platformdirs
 from carina.display import one_line
 from carina.errors import UsageError
 
-__all__ = ["BACKENDS", "LOG_LEVELS", "Settings", "load_settings"]
+__all__ = ["BACKENDS", "LOG_LEVELS", "PROCESSOR_NAME", "Settings", "load_settings"]
 
 logging.addLevelName(5, "TRACE")  # Below DEBUG: messages once per frame.
 LOG_LEVELS = ("TRACE", "DEBUG", "INFO", "WARNING", "ERROR")
 BACKENDS = ("cpu", "gpu", "auto")
+PROCESSOR_NAME = "processor.json"
+"""File name, in the settings folder, of the user's choice of the processor."""
+MAX_CHOICE_BYTES = 4096
 
 
 @one_line
@@ -34,7 +38,7 @@ class Settings:
     data_dir: Path | None
     """Folder of real cases for tests and benchmarks: ``CARINA_DATA_DIR``, else None."""
     backend: str
-    """Processor of airway views, one of :data:`BACKENDS`: ``CARINA_BACKEND``, else auto.
+    """Processor of airway views, one of :data:`BACKENDS`: ``CARINA_BACKEND``, else the user's choice, else auto.
 
     ``auto`` uses a graphics device if it was measured to be faster than the CPU.
     """
@@ -53,6 +57,8 @@ class Settings:
 
     May be deleted at any time.
     """
+    is_backend_forced: bool = False
+    """Whether ``CARINA_BACKEND`` is set, so that the user's choice has no effect."""
     volume_cache_bytes: int | None = None
     """Limit of the cached CTs in bytes, ``CARINA_CACHE_GB``.
 
@@ -78,16 +84,18 @@ def load_settings(environ: Mapping[str, str] | None = None) -> Settings:
     if level not in LOG_LEVELS:
         msg = f"CARINA_LOG_LEVEL must be one of {', '.join(LOG_LEVELS)}; found {level!r}"
         raise UsageError(msg, code="usage.log-level")
-    backend = values.get("CARINA_BACKEND", "").strip().lower() or "auto"
+    forced = values.get("CARINA_BACKEND", "").strip().lower()
+    dirs = platformdirs.PlatformDirs("carina", appauthor=False)
+    backend = forced or _chosen_backend(dirs.user_config_path / PROCESSOR_NAME)
     if backend not in BACKENDS:
         msg = f"CARINA_BACKEND must be one of {', '.join(BACKENDS)}; found {backend!r}"
         raise UsageError(msg, code="usage.backend")
     data_dir = values.get("CARINA_DATA_DIR", "").strip()
-    dirs = platformdirs.PlatformDirs("carina", appauthor=False)
     return Settings(
         log_level=level,
         data_dir=Path(data_dir).expanduser() if data_dir else None,
         backend=backend,
+        is_backend_forced=bool(forced),
         config_dir=dirs.user_config_path,
         cases_dir=dirs.user_data_path / "cases",
         learners_dir=dirs.user_data_path / "learners",
@@ -96,6 +104,17 @@ def load_settings(environ: Mapping[str, str] | None = None) -> Settings:
         cache_dir=dirs.user_cache_path,
         volume_cache_bytes=_gigabytes(values.get("CARINA_CACHE_GB", "").strip()),
     )
+
+
+def _chosen_backend(path: Path) -> str:
+    """Return the processor that the user has chosen in the window; ``auto`` without a readable choice."""
+    try:
+        with path.open("rb") as file:
+            value = json.loads(file.read(MAX_CHOICE_BYTES))
+    except (OSError, ValueError, RecursionError):
+        return "auto"
+    chosen = value.get("processor") if isinstance(value, dict) else None
+    return chosen if chosen in BACKENDS else "auto"
 
 
 def _gigabytes(text: str) -> int | None:

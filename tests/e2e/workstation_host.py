@@ -37,7 +37,7 @@ from carina.case import compression
 from carina.commands import OpenDemo, OpenPath
 from carina.errors import CarinaError
 from carina.phone import PhoneSwitch
-from carina.render import AirwayView, isoregion_cache, scene
+from carina.render import AirwayView, Backend, isoregion_cache, scene
 from carina.server.app import web_folder
 from carina.server.frames import pacing
 from carina.server.network.access_checks import Gate
@@ -344,7 +344,8 @@ def open_workstation(
     gate = Gate(host="127.0.0.1", port=sock.getsockname()[1])
     slow_file = options.get("slow_file")
     SteadyBudget.slow_file = None if slow_file is None else Path(slow_file)
-    factory = serve_module._renderer_factory() if slow_file is None else make_slow(slow_file)
+    backend = Backend("cpu")
+    factory = serve_module._renderer_factory(backend) if slow_file is None else make_slow(slow_file)
     store = LocalStore(Path(home))
     # The hints of the first minute would cover parts of the window; their test asks for a user who has not read them.
     if not options.get("first_use"):

@@ -113,12 +113,14 @@ class Window:
 
 
 @contextlib.contextmanager
-def serving(session, uploads, *, web=None):
+def serving(session, uploads, *, web=None, **options):
     """Run a server in a separate thread, and return its gate."""
     with bind("127.0.0.1", 0) as sock:
         gate = Gate(host="127.0.0.1", port=sock.getsockname()[1])
         started = threading.Event()
-        server = make_server(session, gate, on_started=started.set, web=web, uploads=uploads, watch_address="127.0.0.1")
+        server = make_server(
+            session, gate, on_started=started.set, web=web, uploads=uploads, watch_address="127.0.0.1", **options
+        )
         thread = threading.Thread(target=lambda: server.run(sockets=[sock]), daemon=True)
         thread.start()
         try:
@@ -131,7 +133,7 @@ def serving(session, uploads, *, web=None):
 
 
 @contextlib.contextmanager
-def running(tmp_path, *, web=None, **replaced):
+def running(tmp_path, *, web=None, backend=None, is_backend_forced=False, **replaced):
     """Run a server over the small case, with some parts of the session replaced by ``replaced``."""
     opened = []
 
@@ -142,7 +144,8 @@ def running(tmp_path, *, web=None, **replaced):
     parts = small_parts(**({"open_volume": open_volume} | replaced))
     session = Session(SmallRenderer, parts=parts, store=LocalStore(tmp_path / "config"))
     uploads = Uploads(Limits(num_files=20, total_bytes=10_000, file_bytes=5000))
-    with serving(session, uploads, web=web) as gate:
+    options = {"backend": backend, "is_backend_forced": is_backend_forced}
+    with serving(session, uploads, web=web, **options) as gate:
         yield Live(gate, session, uploads, opened)
 
 

@@ -23,16 +23,22 @@ def gpu_facts(settings: Settings) -> dict[str, Any]:
     """Return the adapters, their measurements, and which may be used, for ``--json``."""
     adapters = find_adapters()
     backend = Backend(settings.backend, record=settings.cache_dir / RECORD_NAME, find=lambda: adapters)
+    # The user's choice is made in the details of the status dot.
+    by = (
+        f"CARINA_BACKEND={settings.backend}"
+        if settings.is_backend_forced
+        else f"chosen in the window: {settings.backend}"
+    )
     return {
         "in_build": adapters is not None,
         "backend": settings.backend,
-        "adapters": [_adapter_facts(backend, adapter) for adapter in adapters or ()],
+        "adapters": [_adapter_facts(backend, adapter, chosen_by=by) for adapter in adapters or ()],
     }
 
 
-def _adapter_facts(backend: Backend, adapter: Adapter) -> dict[str, Any]:
+def _adapter_facts(backend: Backend, adapter: Adapter, *, chosen_by: str) -> dict[str, Any]:
     measured = [v for v in backend.measurements if (v.adapter, v.driver) == (adapter.name, adapter.driver)]
-    chosen, why = _choice_text(backend, adapter, measured)
+    chosen, why = _choice_text(backend, adapter, measured, by=chosen_by)
     return {
         "name": adapter.name,
         "api": adapter.api,
@@ -47,13 +53,18 @@ def _adapter_facts(backend: Backend, adapter: Adapter) -> dict[str, Any]:
     }
 
 
-def _choice_text(backend: Backend, adapter: Adapter, measured: list[AdapterMeasurement]) -> tuple[bool, str]:
-    """Return whether airway views are rendered by this adapter, and the reason."""
+def _choice_text(
+    backend: Backend, adapter: Adapter, measured: list[AdapterMeasurement], *, by: str
+) -> tuple[bool, str]:
+    """Return whether airway views are rendered by this adapter, and the reason.
+
+    ``by`` names what chose the processor, such as ``CARINA_BACKEND=cpu``.
+    """
     if backend.mode == "cpu":
-        return False, "CARINA_BACKEND=cpu"
+        return False, by
     if backend.mode == "gpu":
         first = backend.adapters()[0] == adapter
-        return first, "CARINA_BACKEND=gpu" if first else "CARINA_BACKEND=gpu uses only the first adapter"
+        return first, by if first else f"{by} uses only the first adapter"
     if adapter.is_software:
         return (
             False,

@@ -38,6 +38,7 @@ __all__ = [
     "Pixels",
     "PointLps",
     "PointsLps",
+    "ProcessorName",
     "Three",
     "Through",
     "ViewName",
@@ -70,6 +71,7 @@ Control = Literal["absolute", "relative", "path"]
 Clutch = Literal["always", "hold"]
 Through = Literal["airways", "space"]
 DemoName = Literal["phantom", "patient"]
+ProcessorName = Literal["auto", "cpu", "gpu"]
 
 
 class AirwayPlace(FrozenValue, frozen=True):

@@ -9,7 +9,7 @@ import threading
 import time
 from collections.abc import Callable, Coroutine
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 from carina.commands import (
     Command,
@@ -21,7 +21,7 @@ from carina.commands import (
     TakeTarget,
 )
 from carina.errors import CarinaError, ProtocolError, UsageError
-from carina.render import ClusterStatus
+from carina.render import Backend, ClusterStatus, build_info
 from carina.server.cluster_status import ClusterWatch
 from carina.server.devices import DeviceConnections, Phone
 from carina.server.files.uploads import Uploads
@@ -55,6 +55,10 @@ class Hub:
         The session that the windows control.
     uploads
         Storage of files that users drop on a window.
+    backend
+        Processor of airway views that the user may change; None where another program renders them (a cluster).
+    is_backend_forced
+        Whether the environment has decided the processor.
     closes_session
         Whether :meth:`stop` closes the session; if False, the owner of the session closes it.
     """
@@ -67,6 +71,8 @@ class Hub:
         clock: Callable[[], float] = time.monotonic,
         threads: int = 1,
         simd: str = "",
+        backend: Backend | None = None,
+        is_backend_forced: bool = False,
         patient_citation: Citation | None = None,
         recordings: Path | None = None,
         phone: Phone | None = None,
@@ -80,6 +86,10 @@ class Hub:
         self.clock = clock
         self.threads = threads
         self.simd = simd
+        self._backend = backend
+        self._is_backend_forced = is_backend_forced
+        if backend is not None:
+            backend.subscribe(lambda words: self.in_loop(self._on_device_given_up, words))
         self._uploads = uploads
         self._upload_of_job: dict[str, str] = {}
         self._mask_upload: str | None = None
@@ -206,6 +216,38 @@ class Hub:
         """Return the ``Watching`` message as JSON: the state of the viewing page and its observers."""
         return wire.encode_message(wire.Watching(self._watch_page.info(), self._watch_page.problem))
 
+    def processor_text(self) -> str | None:
+        """Return the ``ProcessorChoice`` message as JSON; None if the processor of airway views cannot be chosen."""
+        backend = self._backend
+        if backend is None:
+            return None
+        has_graphics = bool(build_info()["gpu"])
+        return wire.encode_message(
+            wire.ProcessorChoice(cast(Any, backend.mode), self._is_backend_forced, has_graphics, backend.trouble)
+        )
+
+    def _on_device_given_up(self, words: str) -> None:
+        """Tell the user why pictures come from the CPU; called in the event loop."""
+        self._push_to_windows(wire.Notice(words[:1].upper() + words[1:] + "."))
+        self._mark_topics("processor")
+
+    def _set_processor(self, choice: str) -> None:
+        if self._backend is None:
+            raise UsageError(
+                "the cluster renders the airway view; there is nothing to choose", code="session.processor"
+            )
+        if self._is_backend_forced:
+            raise UsageError(
+                "the environment variable CARINA_BACKEND decides the processor; start Carina without it to choose here",
+                code="session.processor",
+            )
+        self._backend.set_mode(choice)
+        if self.session.store is not None:
+            self.session.store.set_processor(choice)
+        self._mark_topics("processor")
+        for window in self._windows.values():
+            window.pump.content_changed()
+
     def in_loop(self, function: Callable[..., None], *arguments: Any) -> None:
         """Call a function in the event loop; callable from any thread."""
         loop = self._loop
@@ -268,6 +310,8 @@ class Hub:
                 if self.session.store is not None:
                     self.session.store.read_hints()
                 self._mark_topics("start")
+            case wire.SetProcessor():
+                self._set_processor(message.choice)
             case wire.AskStorage():
                 window.mark("start")
             case wire.SetWatchPage():

@@ -19,7 +19,8 @@ from carina.commands import OpenCaseFile, OpenDemo, OpenPath, OpenRecent
 from carina.config import load_settings
 from carina.disk import sweep_drafts, sweep_scratch
 from carina.errors import UsageError
-from carina.render import ClusterStatus
+from carina.render import Backend, ClusterStatus
+from carina.render.processor_choice import RECORD_NAME
 from carina.server.app import create_app, web_folder
 from carina.server.attached_programs import endpoint_of
 from carina.server.devices import Phone
@@ -136,6 +137,8 @@ def make_server(
     uploads: Uploads | None = None,
     patient_citation: Citation | None = None,
     build_info: dict[str, Any] | None = None,
+    backend: Backend | None = None,
+    is_backend_forced: bool = False,
     phone: Phone | None = None,
     cluster_status: Callable[[], ClusterStatus] | None = None,
     watch_address: str | None = None,
@@ -153,6 +156,8 @@ def make_server(
         uploads,
         threads=int(info.get("threads", 1)),
         simd=str(info.get("simd", "")),
+        backend=backend,
+        is_backend_forced=is_backend_forced,
         patient_citation=patient_citation,
         phone=phone,
         cluster_status=cluster_status,
@@ -283,7 +288,8 @@ def serve(
         records.endpoint = endpoint_of(gate)
         if not is_loopback(host):
             print(_NETWORK_WARNING.format(host=host), file=sys.stderr, flush=True)
-        local = _renderer_factory()
+        backend = Backend(settings.backend, record=settings.cache_dir / RECORD_NAME)
+        local = _renderer_factory(backend)
         session = Session(
             make_renderer or local,
             job_renderer_factory=local,
@@ -316,6 +322,8 @@ def serve(
             web=web_folder(),
             patient_citation=_patient_citation(),
             build_info=_build_info(),
+            backend=backend if make_renderer is None else None,
+            is_backend_forced=settings.is_backend_forced,
             phone=page,
             cluster_status=cluster_status,
             # The viewing page listens on the address that the user gave for the phone page.
@@ -394,12 +402,10 @@ def _check_path(path: str, cache: VolumeCache) -> None:
         volume.inspect_path(path)
 
 
-def _renderer_factory() -> Any:
+def _renderer_factory(backend: Backend) -> Any:
     from carina import render
 
-    settings = load_settings()
-    cache = settings.cache_dir / "maps"
-    backend = render.Backend(settings.backend, record=settings.cache_dir / render.processor_choice.RECORD_NAME)
+    cache = load_settings().cache_dir / "maps"
 
     def make(volume: Any, transfer: Any) -> Any:
         return render.Renderer(volume, transfer=transfer, cache_dir=cache, backend=backend)

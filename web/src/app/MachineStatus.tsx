@@ -86,6 +86,7 @@ function MachineDetails({ onClose }: DetailsProps) {
             {fps === null ? "\u2013" : `${fps}/s`} <TargetRate />
           </dd>
         </div>
+        <ProcessorRow />
         {rows.map(([term, value]) => (
           <div key={term}>
             <dt>{term}</dt>
@@ -115,6 +116,56 @@ function MachineDetails({ onClose }: DetailsProps) {
       </dl>
       {cluster === null ? null : <ClusterDetails cluster={cluster} />}
     </section>
+  );
+}
+
+const PROCESSORS = { auto: "Automatic", cpu: "Processor (CPU)", gpu: "Graphics card" } as const;
+
+/** Render the choice of the processor that renders the airway view; nothing where there is no choice. */
+function ProcessorRow() {
+  const station = useStation();
+  const keysBack = useKeysBack();
+  const processor = useApp((state) => state.processor);
+  if (processor === null || !processor.has_graphics) return null;
+  const { choice, is_forced, problem } = processor;
+  return (
+    <div>
+      <dt>Render by</dt>
+      <dd>
+        <Select
+          aria-label="Processor of the airway view"
+          className="select small"
+          isDisabled={is_forced}
+          selectedKey={choice}
+          onOpenChange={keysBack.onOpenChange}
+          onSelectionChange={(key) => {
+            if (key === "auto" || key === "cpu" || key === "gpu") station.send({ type: "set_processor", choice: key });
+          }}
+        >
+          <Tip
+            words={
+              is_forced
+                ? "Chosen by the environment variable CARINA_BACKEND"
+                : "Automatic uses the graphics card only where it was measured to be faster"
+            }
+          >
+            <Button className="plain-text" onPressStart={keysBack.onPressStart}>
+              <SelectValue>{() => PROCESSORS[choice]}</SelectValue>
+            </Button>
+          </Tip>
+          <Popover className="popover" offset={4}>
+            <ListBox className="listbox">
+              {Object.entries(PROCESSORS).map(([key, words]) => (
+                <ListBoxItem key={key} id={key} textValue={words} className="listbox-item">
+                  {words}
+                </ListBoxItem>
+              ))}
+            </ListBox>
+          </Popover>
+        </Select>
+        {problem === null ? null : <p className="warning-text">{problem}</p>}
+      </dd>
+    </div>
   );
 }
 

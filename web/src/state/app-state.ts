@@ -19,6 +19,7 @@ import {
   type PictureHeader,
   type PlansMessage,
   type PoseMessage,
+  type ProcessorChoiceMessage,
   type ProgressMessage,
   type RouteInfo,
   type Scope,
@@ -196,6 +197,8 @@ export interface AppState {
   readonly window: number;
   /** State of the watcher page and its current watchers; null in a window that itself watches. */
   readonly watching: WatchingMessage | null;
+  /** Processor of the airway view that the user has chosen; null before the server states one. */
+  readonly processor: ProcessorChoiceMessage | null;
   readonly start: StartMessage | null;
   readonly session: StateMessage | null;
   readonly tree: BranchTree | null;
@@ -279,6 +282,7 @@ export const INITIAL_STATE: AppState = {
   watches: false,
   window: 0,
   watching: null,
+  processor: null,
   start: null,
   session: null,
   tree: null,
@@ -525,6 +529,8 @@ function receive(state: AppState, message: ServerMessage): AppState {
       return trainingChanged(state, message);
     case "history":
       return { ...state, history: message };
+    case "processor_choice":
+      return { ...state, processor: message };
     case "watching":
       return { ...state, watching: message };
     case "cluster":

@@ -896,6 +896,12 @@ export interface SetFrameRateMessage {
   readonly rate_hz: number;
 }
 
+/** Choose the processor of airway views for all windows and later starts; the answer is `processor_choice`. */
+export interface SetProcessorMessage {
+  readonly type: "set_processor";
+  readonly choice: "auto" | "cpu" | "gpu";
+}
+
 /** Select the layers of the lung map on the slices of this window; the default is all layers. */
 export interface SetLayersMessage {
   readonly type: "set_layers";
@@ -1811,6 +1817,15 @@ export interface WatchingMessage {
   readonly problem: string | null;
 }
 
+/** Processor of airway views that the user has chosen; never sent to observers. */
+export interface ProcessorChoiceMessage {
+  readonly type: "processor_choice";
+  readonly choice: "auto" | "cpu" | "gpu";
+  readonly is_forced: boolean;
+  readonly has_graphics: boolean;
+  readonly problem: string | null;
+}
+
 /** Number of commands of this window that were executed or refused; sent after the state that they changed. */
 export interface HandledMessage {
   readonly type: "handled";
@@ -2385,7 +2400,7 @@ export const SETS = {
 } as const;
 
 /** Messages of a client that are not commands; `handled` does not count them. */
-export const NO_COMMANDS: readonly string[] = ["hello", "open_upload", "import_mask", "import_target", "measure_upload", "layout", "ack", "probe", "pick", "live_path", "branch_detail", "set_frame_rate", "set_layers", "ask_storage", "set_watch_page", "send_away", "accept_notice", "read_hints", "device_sample", "connect_device", "disconnect_device", "publish_tip", "set_phone", "watch_devices", "start_recording", "target_mark", "preview_edit", "open_key_frames"];
+export const NO_COMMANDS: readonly string[] = ["hello", "open_upload", "import_mask", "import_target", "measure_upload", "layout", "ack", "probe", "pick", "live_path", "branch_detail", "set_frame_rate", "set_processor", "set_layers", "ask_storage", "set_watch_page", "send_away", "accept_notice", "read_hints", "device_sample", "connect_device", "disconnect_device", "publish_tip", "set_phone", "watch_devices", "start_recording", "target_mark", "preview_edit", "open_key_frames"];
 
 export type ClientMessage =
   | OpenPathMessage
@@ -2498,6 +2513,7 @@ export type ClientMessage =
   | AskLivePathMessage
   | AskBranchDetailMessage
   | SetFrameRateMessage
+  | SetProcessorMessage
   | SetLayersMessage
   | AskStorageMessage
   | SetWatchPageMessage
@@ -2534,6 +2550,7 @@ export type ServerMessage =
   | ErrorMessage
   | NoticeMessage
   | WatchingMessage
+  | ProcessorChoiceMessage
   | HandledMessage
   | ValueMessage
   | PickedMessage

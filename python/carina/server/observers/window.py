@@ -109,7 +109,7 @@ class WatchingWindow(Window):
                 return self._host.texts.watchers_start()
             case "training":
                 return self._host.texts.training(with_learners=False)
-            case "watching" | "flights":
+            case "watching" | "flights" | "processor":
                 return None
         return super().topic_text(topic)
 

@@ -26,6 +26,7 @@ TOPICS = (
     "history",
     "pose",
     "watching",
+    "processor",
     "handled",
 )
 """Topics in the order of sending: ``handled``, which reports finished commands, follows the results of the commands.

@@ -60,6 +60,9 @@ class Host(Protocol):
     def watching_text(self) -> str:
         """Return the ``Watching`` message as JSON: the state of the viewing page and its observers."""
 
+    def processor_text(self) -> str | None:
+        """Return the ``ProcessorChoice`` message as JSON; None if the processor cannot be chosen."""
+
     def with_original_names(self, text: str) -> str:
         """Return a message in which dropped files have the names that the user knows."""
 
@@ -117,7 +120,7 @@ class Window:
         self._unsubscribe = self._session.subscribe(self._on_event, window=self.number, watches=self.watches)
         self._pictures.start()
         self._pointing.start()
-        topics = ["start", "state", "watching"]
+        topics = ["start", "state", "watching", "processor"]
         if self._session.snapshot().case is not None:
             topics += ["tree", "route", "plan", "lungs", "key_frames", "flights", "history", "pose", "training"]
         self.mark(*topics)
@@ -189,6 +192,8 @@ class Window:
                 return self._host.texts.training()
             case "watching":
                 return self._host.watching_text()
+            case "processor":
+                return self._host.processor_text()
             case "history":
                 return self._history_text(self._session.snapshot())
             case "handled":

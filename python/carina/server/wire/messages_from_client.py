@@ -6,7 +6,7 @@ from typing import Annotated
 
 from msgspec import Meta
 
-from carina.commands.fields import BranchId, Count, Identifier, OwnName, Pixels, PointLps, ViewName
+from carina.commands.fields import BranchId, Count, Identifier, OwnName, Pixels, PointLps, ProcessorName, ViewName
 from carina.commands.value import FrozenValue
 from carina.render import VIEW_NAMES
 from carina.server.wire.codec import ClientMessage
@@ -135,6 +135,12 @@ class SetFrameRate(ClientMessage, frozen=True):
     """Set the frame rate of the moving airway view; resolution is reduced first, then the ray step is enlarged."""
 
     rate_hz: Annotated[float, Meta(ge=5.0, le=240.0)]
+
+
+class SetProcessor(ClientMessage, frozen=True):
+    """Choose the processor of airway views for all windows and later starts; the answer is ``processor_choice``."""
+
+    choice: ProcessorName
 
 
 class SetLayers(ClientMessage, frozen=True):

@@ -19,6 +19,7 @@ from carina.commands.fields import (
     Pixels,
     PointLps,
     PointsLps,
+    ProcessorName,
     ViewName,
     Words,
 )
@@ -439,6 +440,18 @@ class Watching(ServerMessage, frozen=True):
     """The observer page; null while the page is closed."""
     problem: Words | None
     """Reason why the page cannot be opened on this machine."""
+
+
+class ProcessorChoice(ServerMessage, frozen=True):
+    """Processor of airway views that the user has chosen; never sent to observers."""
+
+    choice: ProcessorName
+    is_forced: bool
+    """Whether the environment variable ``CARINA_BACKEND`` decides, so that ``set_processor`` is refused."""
+    has_graphics: bool
+    """Whether this build can render on a graphics device."""
+    problem: Words | None
+    """Reason why the CPU renders although a graphics device was in use or is chosen."""
 
 
 class Handled(ServerMessage, frozen=True):

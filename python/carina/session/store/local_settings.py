@@ -1,4 +1,4 @@
-"""Private settings files: paths of CTs opened before, read notice and hints, CT cache, available instruments.
+"""Private settings files: CTs opened before, read notice and hints, CT cache, available instruments, processor.
 
 A path is needed to open a CT again and is never sent to a client, which receives an id, a date and a neutral alias.
 """
@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from carina.config import PROCESSOR_NAME
 from carina.disk import make_folder, read_regular_text, write_whole
 from carina.display import as_words, one_line
 from carina.errors import VolumeImportError
@@ -54,6 +55,7 @@ class LocalStore:
         self._hints_file = folder / "hints.json"
         self._storage_file = folder / "storage.json"
         self._instruments_file = folder / "instruments.json"
+        self._processor_file = folder / PROCESSOR_NAME
 
     def __repr__(self) -> str:
         """Describe the store by its folder."""
@@ -82,6 +84,7 @@ class LocalStore:
             self._hints_file,
             self._storage_file,
             self._instruments_file,
+            self._processor_file,
         ):
             self._read(path)
         messages, self._messages = tuple(self._messages), []
@@ -151,6 +154,13 @@ class LocalStore:
         """Store the names of the scopes that are available here; None: all."""
         listed = None if names is None else list(names)
         self._write(self._instruments_file, {"format": "carina-instruments", "version": 1, "scopes": listed})
+
+    def set_processor(self, processor: str) -> None:
+        """Store the processor that the user has chosen, one of ``carina.config.BACKENDS``.
+
+        ``carina.config.load_settings`` reads the choice, for the window and for the command line.
+        """
+        self._write(self._processor_file, {"format": "carina-processor", "version": 1, "processor": processor})
 
     def _read(self, path: Path) -> dict[str, Any]:
         if path in self._unwritten:
