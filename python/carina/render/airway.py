@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 import threading
+import time
 
 import numpy as np
 from numpy.typing import NDArray
@@ -65,9 +66,10 @@ class AirwayCaster:
         if on_device:
             picture = self._device.try_cast(scene, view, leaps=method == "leap", cast=cast)
         if picture is None:
+            started = time.perf_counter()
             picture = cast(scene, view, None)
             if rows is None and on_device:
-                self._device.count_cpu_picture(scene, view)
+                self._device.count_cpu_picture(scene, view, time.perf_counter() - started)
         return picture
 
     def leaps_are_faster(self, scene: Scene, view: AirwayView) -> bool | None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import statistics
 import threading
 import time
 from collections.abc import Callable
@@ -31,9 +32,10 @@ WORTH_IT = 0.9
 # pictures after which the device is given up: another program may use the device, or the driver may have slowed it.
 MAX_SLOWNESS = 3.0
 SLOW_PICTURES = 10
-# Number of consecutive pictures that take longer than on the CPU after which CPU and device are measured again. A
-# single picture proves nothing: another pose or look may cost the CPU more than the measured picture did.
+# Number of consecutive pictures that take longer than the measured picture did on the CPU, after which the CPU renders
+# some pictures for a comparison. A single picture proves nothing: another pose or look may cost the CPU more too.
 SLOWER_PICTURES = 60
+COMPARED_PICTURES = 10
 # Error code of a limit of this volume or view, not of the device: another volume may fit.
 LIMIT = "render.gpu-limit"
 FAILED = "render.gpu"
@@ -99,12 +101,14 @@ class DeviceCaster:
         # In auto, three states: not measured; measured without a choice (adapter None); measured, with an adapter.
         self._is_measured = False
         self._adapter: Adapter | None = None
-        # Whether the coming measurement repeats an earlier one, because the chosen device has become slower.
-        self._measures_again = False
+        self._num_choices = backend.num_choices
         # Time of a pixel on the CPU in the view with which the adapter was measured, in seconds.
         self._cpu_s_per_pixel: float | None = None
         self._num_slow = 0
-        self._num_slower = 0
+        # Times of a pixel of the device's last pictures that took longer than on the CPU, in seconds, and of the CPU's
+        # pictures that are compared with them; None while no comparison is in progress.
+        self._slower: list[float] = []
+        self._compared: list[float] | None = None
 
     def try_cast(self, scene: Scene, view: AirwayView, *, leaps: bool, cast: Cast) -> Picture | None:
         """Return the picture from the device, or None if the CPU must render it.
@@ -126,28 +130,48 @@ class DeviceCaster:
         return picture
 
     def _count_device_picture(self, scene: Scene, picture: Picture, seconds: float) -> None:
-        """Give up or measure again a device that was chosen for its speed and has become slower than the CPU was."""
+        """Give up a device that was chosen for its speed and is much slower; compare a slower one with the CPU."""
         num_pixels = picture.rgb.shape[0] * picture.rgb.shape[1]
         if self._backend.mode != "auto" or self._cpu_s_per_pixel is None or num_pixels < MIN_PIXELS:
             return
         cpu_s = self._cpu_s_per_pixel * num_pixels
         self._num_slow = self._num_slow + 1 if seconds > MAX_SLOWNESS * cpu_s else 0
-        self._num_slower = self._num_slower + 1 if seconds > cpu_s else 0
+        self._slower = [*self._slower, seconds / num_pixels] if seconds > cpu_s else []
         if self._num_slow >= SLOW_PICTURES:
             self._num_slow = 0
             words = f"the graphics device has become slow: {1e3 * seconds:.0f} ms per image"
             self._stop_after_error(scene, RenderError(words, code=FAILED))
-        elif self._num_slower >= SLOWER_PICTURES:
-            # The CPU renders the next pictures, and the measurement follows them as at the start.
-            self._num_slower = 0
-            self._num_seen = 0
-            self._adapter, self._is_measured, self._measures_again = None, False, True
+        elif len(self._slower) >= SLOWER_PICTURES:
+            self._compared = []
 
-    def count_cpu_picture(self, scene: Scene, view: AirwayView) -> None:
-        """Count a whole picture that the CPU has rendered.
+    def _compare_again(self, seconds_per_pixel: float, compared: list[float]) -> None:
+        """Add a picture of the CPU to the comparison, and decide after enough of them.
+
+        These are pictures of the same flight as the device's. The measurement before the choice repeats one view, in
+        which a device has every slope already.
+        """
+        compared.append(seconds_per_pixel)
+        if len(compared) < COMPARED_PICTURES:
+            return
+        on_cpu, on_device = statistics.median(compared), statistics.median(self._slower)
+        self._compared, self._slower = None, []
+        if on_device < on_cpu:
+            self._cpu_s_per_pixel = on_cpu
+            return
+        self._adapter = self._resident = None
+        self._backend.report_unused(
+            "the graphics device is no longer used for this volume, because it has become slower than the CPU: "
+            f"{1e9 * on_device:.0f} ms for a million pixels, CPU {1e9 * on_cpu:.0f} ms"
+        )
+
+    def count_cpu_picture(self, scene: Scene, view: AirwayView, seconds: float) -> None:
+        """Count a whole picture that the CPU has rendered in a number of seconds.
 
         In ``auto``, start the measurement of the adapters after some pictures.
         """
+        if self._compared is not None and view.width * view.height >= MIN_PIXELS:
+            self._compare_again(seconds / (view.width * view.height), self._compared)
+            return
         if self._backend.mode != "auto" or self._is_measured or view.width * view.height < MIN_PIXELS:
             return
         with self._lock:
@@ -160,11 +184,16 @@ class DeviceCaster:
 
     def _find_device_scene(self, scene: Scene, *, leaps: bool) -> _core.GpuScene | None:
         mode = self._backend.mode
+        if self._num_choices != self._backend.num_choices:
+            # The user has chosen anew, which permits a device that was given up.
+            self._num_choices = self._backend.num_choices
+            self._adapter, self._is_measured, self._num_seen = None, False, 0
+            self._compared, self._slower, self._unfit = None, [], None
         if mode == "cpu":
             # The memory of the device is released if the user has just chosen the CPU.
             self._resident = None
             return None
-        if mode == "auto" and self._adapter is None:
+        if mode == "auto" and (self._adapter is None or self._compared is not None):
             return None
         if scene.values is self._unfit:
             return None
@@ -238,7 +267,6 @@ class DeviceCaster:
         try:
             done = all(self._measure_adapter(adapter, scene, view) for adapter in self._backend.adapters())
             self._is_measured = done or self._adapter is not None
-            self._measures_again = self._measures_again and not self._is_measured
         finally:
             self._is_busy = False
 
@@ -247,8 +275,7 @@ class DeviceCaster:
 
         Return False to end the search (adapter chosen, or the picture is too dark to measure).
         """
-        again = self._measures_again
-        known = None if again else self._backend.measurement(adapter, scene.values.shape)
+        known = self._backend.measurement(adapter, scene.values.shape)
         if known is not None and not known.chosen:
             return True
         started = self._clock()
@@ -275,13 +302,9 @@ class DeviceCaster:
                 why = f"{words}: {gpu_ms:.1f} ms per image, CPU {cpu_ms:.1f} ms"
         except RenderError as error:
             chosen, why = False, str(error)
-        # A device that became slower is not excluded on disk: another program may have used it at the same time.
         self._backend.store_measurement(
             AdapterMeasurement(adapter.name, adapter.driver, scene.values.shape, chosen, why, cpu_ms, gpu_ms),
-            on_disk=chosen or not again,
         )
-        if again and not chosen:
-            self._backend.report_unused(f"the graphics device is no longer used: {why}")
         log.info("graphics adapter %s: %s", adapter.name, why)
         if chosen:
             self._adapter, self._cpu_s_per_pixel = adapter, cpu_s_per_pixel

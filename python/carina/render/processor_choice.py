@@ -110,6 +110,8 @@ class Backend:
     ) -> None:
         _check_mode(mode)
         self._mode = mode
+        self.num_choices = 0
+        """Number of changes of the choice by the user."""
         self._trouble: str | None = None
         self._listeners: list[Callable[[str], None]] = []
         self._record = record
@@ -144,6 +146,7 @@ class Backend:
         _check_mode(mode)
         with self._lock:
             self._mode, self._trouble = mode, None
+            self.num_choices += 1
             self._unusable.clear()
 
     @property
@@ -201,12 +204,12 @@ class Backend:
         """Return the measurement of an adapter with this driver, on volumes of this shape; None if there is none."""
         return self._measurements.get((adapter.name, adapter.driver, shape_zyx))
 
-    def store_measurement(self, measurement: AdapterMeasurement, *, on_disk: bool = True) -> None:
-        """Store a measurement in memory and, with ``on_disk``, in the file of measurements."""
+    def store_measurement(self, measurement: AdapterMeasurement) -> None:
+        """Store a measurement in memory and in the file of measurements."""
         with self._lock:
             self._measurements[_measurement_key(measurement)] = measurement
             measurements = list(self._measurements.values())
-        if self._record is not None and on_disk:
+        if self._record is not None:
             _write(self._record, measurements)
 
 
