@@ -267,6 +267,36 @@ def test_lost_graphics_device_causes_a_fallback_to_the_cpu_and_one_message(airwa
     assert len([record for record in caplog.records if record.levelno >= 30]) == 1
 
 
+OTHER_PROCESS = """
+import sys
+import numpy as np
+from carina.phantom import generate_phantom
+from carina.render import AirwayView, Backend, Renderer
+from carina.scopes import Pose
+
+made = generate_phantom(seed=3, generations=3, spacing_mm=2.0)
+points = np.array(made.truth["branches"][0]["points"])
+pose = Pose.looking(points[0], points[-1] - points[0])
+renderer = Renderer(made.volume, backend=Backend(sys.argv[1]))
+pictures = [renderer.render(AirwayView(pose, fov_deg=80.0 + 5 * n, width=96, height=72)) for n in range(8)]
+assert all(p.stats.method.startswith("gpu-") == (sys.argv[1] == "gpu") for p in pictures), pictures[0].stats.method
+np.save(sys.argv[2], np.stack([p.rgb for p in pictures]))
+"""
+
+
+def test_two_processes_on_one_graphics_device_both_render_the_cpu_picture(tmp_path):
+    places = {mode: tmp_path / f"{mode}.npy" for mode in ("cpu", "gpu", "gpu-too")}
+    running = [
+        subprocess.Popen([sys.executable, "-c", OTHER_PROCESS, name.removesuffix("-too"), str(place)])
+        for name, place in places.items()
+    ]
+    assert [one.wait(120) for one in running] == [0, 0, 0]
+    expected = np.load(places["cpu"])
+    assert expected.max() > 60
+    for name in ("gpu", "gpu-too"):
+        assert differing_share(expected.reshape(-1, 96, 3), np.load(places[name]).reshape(-1, 96, 3)) <= MAX_PART_OFF
+
+
 def test_gpu_scene_uploaded_for_another_array_is_refused(airway):
     gpu = _core.Gpu(0)
     scene = gpu.upload(airway.volume.hu_zyx)
