@@ -4,10 +4,14 @@ from __future__ import annotations
 
 import json
 import os
+import subprocess
+import sys
 
 import numpy as np
 import pytest
 import SimpleITK as sitk
+
+import carina
 
 RMB = "-20.2,3.0,-26.6"  # end of the right main bronchus of the phantom with seed 0 (truth.json)
 FAR = "-100,0,20"  # in the lung or the chest wall, more than 5 mm from every airway
@@ -456,3 +460,8 @@ def test_volume_of_unusual_size_or_content_gives_a_result_or_a_message(carina, t
         assert ended.json()
         assert output.exists() == (ended.code == 0)
         output.unlink(missing_ok=True)
+
+
+def test_python_m_carina_is_the_command_carina():
+    done = subprocess.run([sys.executable, "-m", "carina", "--version"], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout, done.stderr) == (0, f"carina {carina.__version__}\n", "")
