@@ -680,6 +680,16 @@ def fly(
     captions: Annotated[
         bool, typer.Option("--captions", help="Write time, branch, depth and the next turn with its clock hour.")
     ] = False,
+    breathing: Annotated[
+        str | None,
+        typer.Option(
+            help="Simulate breathing: quiet (12 mm every 3.6 s), or the amplitude at the lung bases in mm and the "
+            "period in s, such as 18,5. Each frame states it."
+        ),
+    ] = None,
+    cough: Annotated[
+        str | None, typer.Option(help="With --breathing: times in s at which the patient coughs, such as 2.5,7.")
+    ] = None,
     keep: Annotated[
         Path | None,
         typer.Option(help="Folder that stores the frames, so that an interrupted video can be continued."),
@@ -726,6 +736,8 @@ def fly(
                 mixed=mixed,
                 keep=keep,
                 captions=captions,
+                breathing=breathing,
+                cough_s=cough,
             )
         )
 
