@@ -127,6 +127,7 @@ def generate_chest(
     neck: bool,
     tube: str | None,
     resected: str | None,
+    variant: str | None,
     box_lps: list[list[float]] | None,
     with_distance: bool,
     proceed: Callable[[float], bool],
@@ -134,7 +135,7 @@ def generate_chest(
     """Generate a phantom chest.
 
     The result contains hu_zyx, lumen_zyx, lps_from_ijk, branches, and the optional parts that were requested: nodule,
-    stenosis, tube, cricoid_lps with upper_airway_zyx, lumen_distance_mm.
+    stenosis, tube, variants, cricoid_lps with upper_airway_zyx, lumen_distance_mm.
     """
 
 # ---- isoregion ----

@@ -582,6 +582,13 @@ def phantom(
     resected: Annotated[
         str | None, typer.Option(help="Remove a lobe, as after a lobectomy: RUL, RML, RLL, LUL or LLL.")
     ] = None,
+    variant: Annotated[
+        str | None,
+        typer.Option(
+            help="Anatomical variant: tracheal-bronchus, subsuperior, absent-rb7, trifurcations, left-isomerism, or "
+            "published (by seed, with the published frequencies)."
+        ),
+    ] = None,
     mr: Annotated[
         bool, typer.Option("--mr", help="Write an MR picture of the chest, mr.nii.gz (not in HU), instead of a CT.")
     ] = False,
@@ -598,6 +605,7 @@ def phantom(
 
         check_output_folder(output)
         changes = {"stenosis": stenosis, "nodule": nodule, "neck": neck, "tube": tube, "resected": resected}
+        changes |= {"variant": variant}
         chosen = [f"--{name}" for name, value in changes.items() if value]
         if mr and chosen:
             msg = f"--mr: expected a chest without {', '.join(chosen)}; leave one of the two out"
@@ -616,6 +624,7 @@ def phantom(
                 neck=neck,
                 tube=tube,
                 resected=resected,
+                variant=variant,
                 progress=progress_printer(),
             )
         written = write_phantom(made, output)
