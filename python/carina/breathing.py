@@ -97,7 +97,8 @@ class ChestDeformation:
     @property
     def rest_from_lps(self) -> NDArray[np.float64]:
         """Matrix (4, 4) from patient space to positions in the CT at rest, mm."""
-        return np.linalg.inv(self.lps_from_rest)
+        inverse: NDArray[np.float64] = np.linalg.inv(self.lps_from_rest).astype(np.float64, copy=False)
+        return inverse
 
     @check_arguments(rest_lps=coordinates(COORDINATE_MM))
     def points(self, rest_lps: ArrayLike) -> Points:
@@ -136,7 +137,8 @@ class ChestDeformation:
         moved = np.linalg.norm(along @ self.lps_from_rest[:3, :3].T, axis=1)
         # The volume of a slice of the lumen changes by the determinant, and its thickness by the stretch along it.
         stretch = np.divide(moved, lengths, out=np.ones_like(lengths), where=lengths > 0.0)
-        return radius * np.sqrt(np.linalg.det(self.lps_from_rest[:3, :3]) / stretch)
+        radii: NDArray[np.float64] = radius * np.sqrt(np.linalg.det(self.lps_from_rest[:3, :3]) / stretch)
+        return radii
 
 
 @one_line
