@@ -18,6 +18,7 @@ Scans (``carina.volume``, ``carina.phantom``, ``carina.deidentification``, ``car
     inspect_path        List the series in a path without opening them
     deidentify          Write DICOM images without identity (``carina.pacs`` retrieves images from a PACS)
     generate_phantom    Generate a chest CT with known airways; generate_mr_phantom an MR picture; write_phantom
+    breathing           Breathing and cough as a deformation of the chest, for pictures, wall, tree and contact
     insert_nodule       Insert a nodule into a CT for training (``carina.training``)
 
 Airways (``carina.track``)

@@ -1,5 +1,6 @@
 """Public names of Carina and the modules that define them; ``__init__.py`` loads each name on first use."""
 
+from . import breathing as breathing
 from . import case as case
 from . import cluster as cluster
 from . import commands as commands

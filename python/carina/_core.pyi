@@ -55,6 +55,10 @@ class WallField:
         self, axis_lps: NDArray[np.float64], radius_mm: Sequence[float], excess_mm: Sequence[float]
     ) -> WallField:
         """Return a field whose lumen also contains a tube, near which the sampled wall is moved inwards."""
+    def deformed(self, lps_from_rest: NDArray[np.float64]) -> WallField:
+        """Return the field of the same wall after an affine deformation of the tissue."""
+    @property
+    def is_deformed(self) -> bool: ...
     @property
     def has_tube(self) -> bool: ...
     def distance_mm(self, points_lps: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -123,6 +127,7 @@ def generate_chest(
     neck: bool,
     tube: str | None,
     resected: str | None,
+    variant: str | None,
     box_lps: list[list[float]] | None,
     with_distance: bool,
     proceed: Callable[[float], bool],
@@ -130,7 +135,7 @@ def generate_chest(
     """Generate a phantom chest.
 
     The result contains hu_zyx, lumen_zyx, lps_from_ijk, branches, and the optional parts that were requested: nodule,
-    stenosis, tube, cricoid_lps with upper_airway_zyx, lumen_distance_mm.
+    stenosis, tube, variants, cricoid_lps with upper_airway_zyx, lumen_distance_mm.
     """
 
 # ---- isoregion ----
@@ -326,6 +331,7 @@ def cast(
     decoration: Decoration | None = None,
     always_leap: bool = False,
     bricks: Bricks | None = None,
+    lps_from_rest: NDArray[np.float64] | None = None,
 ) -> tuple[NDArray[np.uint8], tuple[int, int, int, int, int, int, int]]:
     """Cast rows of a picture; return (rows, width, 3) colours and statistics.
 
@@ -348,6 +354,7 @@ def cast_surface(
     radius_zyx: NDArray[np.uint8] | None = None,
     simd: str | None = None,
     lens: LensRays | None = None,
+    lps_from_rest: NDArray[np.float64] | None = None,
 ) -> tuple[NDArray[np.float32], NDArray[np.float64], NDArray[np.float32]]:
     """Find the first walls of rows, or of one pixel (column, row); return depths in mm, positions and normals in LPS.
 

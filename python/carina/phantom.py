@@ -46,6 +46,9 @@ Scalar = TypeVar("Scalar", bound=np.generic)
 GENERATOR_VERSION = 2
 DEMO_OPTIONS: dict[str, Any] = {"seed": 0, "spacing_mm": 0.9, "generations": 7, "nodule": True}
 
+VARIANTS = ("tracheal-bronchus", "subsuperior", "absent-rb7", "trifurcations", "left-isomerism", "published")
+"""Values of the argument ``variant``."""
+
 ABANDONED_S = 3600.0
 _log = logging.getLogger(__name__)
 
@@ -61,7 +64,7 @@ class Phantom:
     truth: dict[str, Any]
     """Document of ``truth.json``: an exact ``carina-tree`` (LPS, mm), with ``nodule`` and ``stenosis`` or None.
 
-    It has ``cricoid_lps``, ``tube`` and ``lean_deg`` if they were requested.
+    It has ``cricoid_lps``, ``tube``, ``lean_deg`` and ``variants`` if they were requested.
     """
     lumen_distance_mm: NDArray[np.float32] | None = None
     """``(nz, ny, nx)`` signed distance to the lumen's surface, mm, negative inside; None unless requested.
@@ -102,6 +105,7 @@ def _check_spacing(where: str, name: str, value: object) -> None:
     lean_deg=_check_lean,
     tube=choice("endotracheal", "tracheostomy", optional=True),
     resected=choice("RUL", "RML", "RLL", "LUL", "LLL", optional=True),
+    variant=choice(*VARIANTS, optional=True),
     box_lps=array_of(2, 3, optional=True, what="two corners of three finite numbers in mm (LPS)"),
     with_distance=flag,
     cancel=function,
@@ -118,6 +122,7 @@ def generate_phantom(
     lean_deg: Sequence[float] = (0.0, 0.0),
     tube: str | None = None,
     resected: str | None = None,
+    variant: str | None = None,
     box_lps: Sequence[Sequence[float]] | None = None,
     with_distance: bool = False,
     progress: ProgressChoice = None,
@@ -158,6 +163,12 @@ def generate_phantom(
     resected
         Lobe that is missing, as after a lobectomy: RUL, RML, RLL, LUL or LLL. A stump of its bronchus remains, a branch
         without a name; neighbouring airways are shifted slightly into the free space.
+    variant
+        Anatomical variant of the airways, not together with a tube or a resected lobe: ``tracheal-bronchus`` (RB1
+        arises from the trachea), ``subsuperior`` (RB*), ``absent-rb7``, ``trifurcations`` (of RUL and of the left basal
+        trunk; all right basal segments arise together), ``left-isomerism`` (both lungs have the pattern of the left
+        one), or ``published``: each variant is drawn by the seed with its published frequency (docs/algorithms.md).
+        ``truth["variants"]`` lists them. None: no such variant; the divisions of the lobes vary by seed.
     box_lps
         ``((x, y, z), (x, y, z))`` lower and upper corner of the part to generate, in mm. Default: the whole chest. The
         truth always contains the whole tree.
@@ -240,6 +251,7 @@ def generate_phantom(
         neck,
         tube,
         resected,
+        variant,
         box,
         with_distance or leans,
         proceed,
@@ -272,7 +284,7 @@ def generate_phantom(
         "nodule": made.get("nodule"),
         "stenosis": made.get("stenosis"),
     }
-    truth |= {key: made[key] for key in ("cricoid_lps", "tube", "lean_deg") if key in made}
+    truth |= {key: made[key] for key in ("cricoid_lps", "tube", "lean_deg", "variants") if key in made}
     truth = in_one_spelling(truth)
     return Phantom(
         volume=_volume(made["hu_zyx"], np.array(made["lps_from_ijk"]), seed),

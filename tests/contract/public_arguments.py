@@ -196,6 +196,7 @@ class Good:
 
 BOX = ((-20.0, -20.0, -20.0), (20.0, 20.0, 20.0))
 POSE = carina.Pose.looking((5.5, 5.5, 5.5), (0, 0, -1))
+MOVED = carina.breathing.ChestDeformation(np.diag([0.9, 0.9, 0.95, 1.0]))
 BALL = (4.0 - np.linalg.norm(np.indices((11, 11, 11)) - 5.0, axis=0)).astype(np.float32)
 CORNERS = np.array([[0.0, 0, 0], [9, 0, 0], [0, 9, 0], [0, 0, 9]])
 FACES = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]], dtype=np.uint32)
@@ -298,6 +299,7 @@ GOOD: dict[str, Good] = {
     # Airways
     "AirwayTree": Good(lambda t: {"branches": t.tree.branches}),
     "AirwayTree.branch": Good(lambda t: {"branch_id": t.tip.id}, _tree),
+    "AirwayTree.deformed": Good(lambda _: {"deformation": MOVED}, _tree),
     "AirwayTree.from_json": Good(lambda t: {"document": t.tree.to_json()}),
     "AirwayTree.lineage": Good(lambda t: {"branch_id": t.tip.id}, _tree),
     "AirwayTree.named": Good(lambda _: {"name": "Trachea"}, _tree),
@@ -363,6 +365,7 @@ GOOD: dict[str, Good] = {
     "PathFrames": Good(lambda _: {"path_mm": np.array([0.0, 1.0]), "lps_from_frame": np.stack([np.eye(4)] * 2)}),
     "PathFrames.at": Good(lambda _: {"path_mm": np.array([0.5])}, lambda t: t.frames),
     "Pose": Good(lambda _: {"lps_from_camera": np.eye(4)}),
+    "Pose.carried_by": Good(lambda _: {"deformation": MOVED}, lambda _: POSE),
     "Pose.looking": Good(lambda _: {"at_lps": (1.0, 2.0, 3.0), "look_lps": (0.0, 0.0, -1.0)}),
     "ScopeDrive": Good(lambda t: {"field": t.wall, "scope": "ultrathin", "start_path": t.route.points_lps}),
     "ScopeDrive.drive": Good(
@@ -372,6 +375,7 @@ GOOD: dict[str, Good] = {
     "ScopeDrive.set_operator": Good(lambda _: {"operator": "facing"}, Things.drive),
     "WallField": Good(lambda t: {"core": t.wall.core}),
     "WallField.ball_mm": Good(lambda _: {"points_lps": [(0.0, 0.0, 0.0)]}, _wall),
+    "WallField.deformed": Good(lambda _: {"deformation": MOVED}, _wall),
     "WallField.distance_mm": Good(lambda _: {"points_lps": [(0.0, 0.0, 0.0)]}, _wall),
     "WallField.with_tube": Good(
         lambda _: {"axis_lps": [(0.0, 0.0, 0.0), (0.0, 0.0, 1.0)], "radius_mm": [1.0, 1.0]}, _wall

@@ -1,6 +1,6 @@
 //! Python bindings of `carina-phantom`, the phantom chest.
 
-use carina_phantom::{Branch, Chest, ChestOptions, Lobe, PhantomError, TubeKind};
+use carina_phantom::{Branch, Chest, ChestOptions, Lobe, PhantomError, TubeKind, Variants};
 use numpy::{IntoPyArray, PyArray1, PyArrayMethods};
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyList};
@@ -62,6 +62,7 @@ fn generate_chest<'py>(
     neck: bool,
     tube: Option<&str>,
     resected: Option<&str>,
+    variant: Option<&str>,
     box_lps: Option<[[f64; 3]; 2]>,
     with_distance: bool,
     proceed: &Bound<'py, PyAny>,
@@ -95,6 +96,17 @@ fn generate_chest<'py>(
                 })?,
         ),
     };
+    let variants = match variant {
+        None => Variants::default(),
+        Some(name) => Variants::named(name, seed).ok_or_else(|| {
+            PhantomError::Option {
+                what: "variant",
+                expected: "tracheal-bronchus, subsuperior, absent-rb7, trifurcations, left-isomerism or published",
+                found: name.to_owned(),
+            }
+            .into_py()
+        })?,
+    };
     let options = ChestOptions {
         seed,
         spacing_mm,
@@ -105,6 +117,7 @@ fn generate_chest<'py>(
         neck,
         tube,
         resected,
+        variants,
         box_lps,
         with_distance,
     };
@@ -138,6 +151,9 @@ fn generate_chest<'py>(
         branches.append(branch(py, b)?)?;
     }
     out.set_item("branches", branches)?;
+    if variant.is_some() {
+        out.set_item("variants", variants.names())?;
+    }
     if let Some(n) = chest.nodule {
         let dict = PyDict::new(py);
         dict.set_item("center_lps", n.centre_lps)?;

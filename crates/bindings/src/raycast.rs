@@ -9,7 +9,7 @@ use std::sync::{
     atomic::{AtomicBool, Ordering},
 };
 
-use carina_grid::{Camera, VolumeView};
+use carina_grid::{Affine, Camera, Grid, GridError, VolumeView};
 use carina_isoregion::SegmentTable;
 use carina_raycast::{
     Appearance, ClassMap, DECORATION_CHANNELS, Decoration, Frame, FrameOptions, InstructionSet,
@@ -347,6 +347,28 @@ impl PyDecoration<'_> {
     }
 }
 
+/// Return the grid of a deformed CT and the map from patient space to the CT at rest; `None` without a deformation.
+///
+/// The deformation maps positions of the CT at rest to patient space.
+fn deformed_grid(
+    rest: &Grid,
+    lps_from_rest: Option<&PyReadonlyArray2<'_, f64>>,
+) -> PyResult<Option<(Grid, Affine)>> {
+    let Some(matrix) = lps_from_rest else {
+        return Ok(None);
+    };
+    let lps_from_rest = affine("lps_from_rest", matrix)?;
+    let rest_from_lps = lps_from_rest.inverse().ok_or_else(|| {
+        GridError::Transform {
+            what: "lps_from_rest",
+            reason: "its determinant is 0".to_owned(),
+        }
+        .into_py()
+    })?;
+    let grid = Grid::new(rest.shape_zyx(), lps_from_rest.after(rest.lps_from_ijk()));
+    Ok(Some((grid.map_err(IntoPy::into_py)?, rest_from_lps)))
+}
+
 const fn interpolation(nearest: bool) -> Interpolation {
     if nearest {
         Interpolation::Nearest
@@ -360,7 +382,7 @@ const fn interpolation(nearest: bool) -> Interpolation {
 #[pyo3(signature = (
     hu_zyx, lps_from_ijk, table, lps_from_camera, *, fov_rad, width, height, rows=None, light=None, nearest=false,
     background=[0.0; 3], leap=None, simd=None, stop=None, lens=None, darken=true, gpu=None,
-    stop_transparency=None, appearance=None, always_leap=false, bricks=None, decoration=None
+    stop_transparency=None, appearance=None, always_leap=false, bricks=None, decoration=None, lps_from_rest=None
 ))]
 fn cast<'py>(
     py: Python<'py>,
@@ -386,9 +408,12 @@ fn cast<'py>(
     always_leap: bool,
     bricks: Option<Bound<'py, Bricks>>,
     decoration: Option<PyDecoration<'py>>,
+    lps_from_rest: Option<PyReadonlyArray2<'py, f64>>,
 ) -> PyResult<(Bound<'py, PyArray3<u8>>, PyStats)> {
-    let grid = grid(&hu_zyx, &lps_from_ijk)?;
-    let volume = VolumeView::new(values("hu_zyx", &hu_zyx)?, &grid).map_err(IntoPy::into_py)?;
+    let rest = grid(&hu_zyx, &lps_from_ijk)?;
+    let moved = deformed_grid(&rest, lps_from_rest.as_ref())?;
+    let grid = moved.as_ref().map_or(&rest, |(grid, _)| grid);
+    let volume = VolumeView::new(values("hu_zyx", &hu_zyx)?, grid).map_err(IntoPy::into_py)?;
     let pose = affine("lps_from_camera", &lps_from_camera)?;
     let camera = camera(pose, fov_rad, width, height, lens.as_ref())?;
     let tables = table.get();
@@ -408,6 +433,9 @@ fn cast<'py>(
         background,
     };
     let mut frame = Frame::new(volume, table, camera, options).map_err(IntoPy::into_py)?;
+    if let Some((_, rest_from_lps)) = &moved {
+        frame = frame.deformed(*rest_from_lps, &rest);
+    }
     if let Some(transparency) = stop_transparency {
         frame = frame.stopping_at(transparency).map_err(IntoPy::into_py)?;
     }
@@ -507,7 +535,7 @@ type PySurface<'py> = (
 #[pyfunction]
 #[pyo3(signature = (
     hu_zyx, lps_from_ijk, table, lps_from_camera, *, fov_rad, width, height, rows=None, pixel=None, nearest=false,
-    radius_zyx=None, simd=None, lens=None
+    radius_zyx=None, simd=None, lens=None, lps_from_rest=None
 ))]
 fn cast_surface<'py>(
     py: Python<'py>,
@@ -524,9 +552,12 @@ fn cast_surface<'py>(
     radius_zyx: Option<PyReadonlyArray3<'py, u8>>,
     simd: Option<&str>,
     lens: Option<Bound<'py, LensRays>>,
+    lps_from_rest: Option<PyReadonlyArray2<'py, f64>>,
 ) -> PyResult<PySurface<'py>> {
-    let grid = grid(&hu_zyx, &lps_from_ijk)?;
-    let volume = VolumeView::new(values("hu_zyx", &hu_zyx)?, &grid).map_err(IntoPy::into_py)?;
+    let rest = grid(&hu_zyx, &lps_from_ijk)?;
+    let moved = deformed_grid(&rest, lps_from_rest.as_ref())?;
+    let grid = moved.as_ref().map_or(&rest, |(grid, _)| grid);
+    let volume = VolumeView::new(values("hu_zyx", &hu_zyx)?, grid).map_err(IntoPy::into_py)?;
     let pose = affine("lps_from_camera", &lps_from_camera)?;
     let camera = camera(pose, fov_rad, width, height, lens.as_ref())?;
     let options = FrameOptions {
@@ -536,7 +567,10 @@ fn cast_surface<'py>(
         background: [0.0; 3],
     };
     let table = &table.get().inner;
-    let frame = Frame::new(volume, table, camera, options).map_err(IntoPy::into_py)?;
+    let mut frame = Frame::new(volume, table, camera, options).map_err(IntoPy::into_py)?;
+    if let Some((_, rest_from_lps)) = &moved {
+        frame = frame.deformed(*rest_from_lps, &rest);
+    }
     let simd = instruction_set(simd)?;
     let method = match &radius_zyx {
         None => Method::Brute,

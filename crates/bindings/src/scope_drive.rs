@@ -102,6 +102,19 @@ impl PyWallField {
             .map_err(IntoPy::into_py)
     }
 
+    fn deformed(&self, lps_from_rest: PyReadonlyArray2<'_, f64>) -> PyResult<Self> {
+        let map = arrays::affine("lps_from_rest", &lps_from_rest)?;
+        self.0
+            .deformed(&map)
+            .map(|field| Self(Arc::new(field)))
+            .map_err(IntoPy::into_py)
+    }
+
+    #[getter]
+    fn is_deformed(&self) -> bool {
+        self.0.is_deformed()
+    }
+
     #[getter]
     fn has_tube(&self) -> bool {
         self.0.has_tube()

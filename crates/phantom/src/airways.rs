@@ -3,7 +3,8 @@ use carina_grid::{cross, length};
 use crate::body::lung_distance;
 use crate::random::Random;
 use crate::shapes::{along, direction, hermite, mix, normals, sub, tilted};
-use crate::skeleton::{Basal, RightUpper, named_branches};
+use crate::skeleton::{Basal, Divisions, RightUpper, UPPER_TRACHEA, named_branches};
+use crate::variants::{LEFT_BASAL_TRIFURCATION, Variants};
 
 /// Airway of a phantom with its exact centreline and radii.
 #[derive(Debug, Clone, PartialEq)]
@@ -85,18 +86,24 @@ const GAP_MM: f64 = 0.8;
 /// Smallest distance of subsegments from the pleura, in addition to their own radius and wall, mm.
 const PLEURA_MM: f64 = 2.5;
 
+/// Height above the carina at which a tracheal bronchus arises, mm.
+const TRACHEAL_BRONCHUS_Z_MM: f64 = 20.0;
+
 impl AirwayTree {
     /// Create a random tree of airways whose trachea starts at height `top_z`.
     ///
     /// Branches of a generation below `generations` divide, so the tree reaches that generation where the lung has
     /// enough space.
-    pub(crate) fn grow(seed: u64, generations: usize, top_z: f64) -> Self {
+    pub(crate) fn grow(seed: u64, generations: usize, top_z: f64, variants: Variants) -> Self {
         let mut random = Random::new(seed, 1);
         let mut tree = Self {
             branches: Vec::new(),
         };
         let size = random.range(0.95, 1.06);
         tree.add_trachea(top_z, 9.2 * size);
+        if variants.tracheal_bronchus {
+            tree.divide_trachea();
+        }
         let upper = match random.unit() {
             u if u < 0.18 => RightUpper::ApicalWithPosterior,
             u if u < 0.27 => RightUpper::PosteriorWithAnterior,
@@ -109,16 +116,41 @@ impl AirwayTree {
                 Basal::Separate
             }
         };
-        let (right_basal, left_basal) = (basal(0.3), basal(0.7));
-        for named in named_branches(upper, right_basal, left_basal) {
+        let joined = if variants.published {
+            1.0 - LEFT_BASAL_TRIFURCATION
+        } else {
+            0.7
+        };
+        let mut divisions = Divisions {
+            right_upper: upper,
+            right_basal: basal(0.3),
+            left_basal: basal(joined),
+        };
+        if variants.trifurcations {
+            divisions = Divisions {
+                right_upper: RightUpper::Trifurcation,
+                right_basal: Basal::Separate,
+                left_basal: Basal::Separate,
+            };
+        }
+        for named in named_branches(divisions, variants) {
+            // A branch of a bronchus in two parts arises from the last part.
             let parent = tree
                 .branches
                 .iter()
+                .rev()
                 .find(|b| b.name == Some(named.parent))
                 .map_or(0, |b| b.id);
+            debug_assert!(
+                named.parent == UPPER_TRACHEA || tree.branches[parent].name == Some(named.parent)
+            );
             // A segment of the table ends at its first division, which in a whole lung is further out: the lung is then
             // filled to some 2 cm from the pleura, as on a real CT.
-            let reach = if named.is_segment() { 1.45 } else { 1.0 };
+            let reach = if named.is_segment(variants) {
+                1.45
+            } else {
+                1.0
+            };
             let length_mm = named.length_mm * reach * size * random.range(0.94, 1.06);
             let radius = 0.5 * named.diameter_mm * size * random.range(0.95, 1.05);
             // The limit is 6 degrees, because larger rotations of two neighbours could bring named branches into
@@ -167,6 +199,28 @@ impl AirwayTree {
             radius_mm,
             wall_mm: wall_mm(radius),
         });
+    }
+
+    /// Divide the trachea where a tracheal bronchus arises; both parts have the trachea's name.
+    fn divide_trachea(&mut self) {
+        let upper = &mut self.branches[0];
+        let at = upper
+            .points
+            .iter()
+            .position(|p| p[2] <= TRACHEAL_BRONCHUS_Z_MM)
+            .unwrap_or(upper.points.len() / 2);
+        let lower = Branch {
+            id: 1,
+            parent: Some(0),
+            children: Vec::new(),
+            generation: 1,
+            points: upper.points[at..].to_vec(),
+            radius_mm: upper.radius_mm[at..].to_vec(),
+            ..upper.clone()
+        };
+        upper.points.truncate(at + 1);
+        upper.radius_mm.truncate(at + 1);
+        self.push(lower);
     }
 
     /// Return a new child of `parent` that bends from the parent's direction into `dir`.

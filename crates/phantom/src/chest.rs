@@ -9,6 +9,7 @@ use crate::neck::{NECK_TOP_Z, Neck};
 use crate::nodule::Nodule;
 use crate::random::Random;
 use crate::shapes::{along, normals, sub, tilted};
+use crate::variants::Variants;
 use crate::vessels::vessels;
 use crate::voxels::Scene;
 
@@ -48,6 +49,8 @@ pub struct ChestOptions {
     pub tube: Option<TubeKind>,
     /// Lobe that was resected, whose bronchus ends in a stump; `None` for a complete lung.
     pub resected: Option<Lobe>,
+    /// Anatomical variants of the airways; not together with a tube or a resected lobe.
+    pub variants: Variants,
     /// Part of the chest to be computed, `[lo, hi]` in LPS mm; `None` for all. The ground truth is that of the whole
     /// chest.
     pub box_lps: Option<[[f64; 3]; 2]>,
@@ -67,6 +70,7 @@ impl Default for ChestOptions {
             neck: false,
             tube: None,
             resected: None,
+            variants: Variants::default(),
             box_lps: None,
             with_distance: false,
         }
@@ -142,6 +146,19 @@ impl ChestOptions {
         if self.tube == Some(TubeKind::Tracheostomy) && !self.neck {
             return refuse("tracheostomy", "a chest with its neck", "none".to_owned());
         }
+        if self.variants != Variants::default() && (self.tube.is_some() || self.resected.is_some())
+        {
+            let found = "both".to_owned();
+            return refuse(
+                "variant",
+                "a chest without a tube and a resected lobe",
+                found,
+            );
+        }
+        if self.variants.conflict() {
+            let found = self.variants.names().join(", ");
+            return refuse("variant", "left isomerism alone", found);
+        }
         let top = if self.neck { NECK_TOP_Z } else { TOP_Z };
         let whole = [LO_LPS, [HI_LPS[0], HI_LPS[1], top]];
         let [lo, hi] = self.box_lps.unwrap_or(whole);
@@ -170,7 +187,7 @@ impl ChestOptions {
         } else {
             TOP_Z
         };
-        let mut tree = AirwayTree::grow(self.seed, self.generations, top_z);
+        let mut tree = AirwayTree::grow(self.seed, self.generations, top_z, self.variants);
         if let Some(lobe) = self.resected {
             tree.resect(lobe);
         }
@@ -272,7 +289,9 @@ impl Chest {
 /// Narrow the left main or the intermediate bronchus to less than half its diameter, and return the ground truth of it.
 fn narrow(tree: &mut AirwayTree, random: &mut Random) -> Stenosis {
     let name = if random.unit() < 0.5 { "LMB" } else { "BI" };
-    let id = tree.named(name).map_or(0, |b| b.id);
+    // Without an intermediate bronchus, in a left isomerism, the right main bronchus is narrowed.
+    let found = tree.named(name).or_else(|| tree.named("RMB"));
+    let id = found.map_or(0, |b| b.id);
     let left = random.range(0.38, 0.48);
     let branch = &mut tree.branches[id];
     let mut cumulative = vec![0.0];

@@ -22,6 +22,7 @@ mod noise;
 mod random;
 mod shapes;
 mod skeleton;
+mod variants;
 mod vessels;
 mod voxels;
 
@@ -32,3 +33,4 @@ pub use chest::{Chest, ChestOptions, Stenosis};
 pub use error::PhantomError;
 pub use lobectomy::Lobe;
 pub use nodule::Nodule;
+pub use variants::{PUBLISHED, VARIANT_NAMES, Variants};

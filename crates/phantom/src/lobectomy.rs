@@ -119,11 +119,12 @@ fn shifted(p: [f64; 3], hilum: [f64; 3]) -> [f64; 3] {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::variants::Variants;
 
     #[test]
     fn a_resected_lobe_leaves_a_stump_and_a_consistent_tree() {
         for lobe in Lobe::ALL {
-            let before = AirwayTree::grow(3, 6, 110.0);
+            let before = AirwayTree::grow(3, 6, 110.0, Variants::default());
             let lost = before.named(lobe.name()).unwrap();
             let mut after = before.clone();
             after.resect(lobe);

@@ -43,6 +43,10 @@ pub struct Frame<'a> {
     /// Anatomical data at the walls, for the shading.
     pub(crate) decoration: Option<Decoration<'a>>,
     pub(crate) grid: &'a Grid,
+    /// Map from patient space to the tissue's position in the CT at rest; `None` if the tissue is at rest.
+    pub(crate) rest_from_lps: Option<Affine>,
+    /// Distances between the voxel centres of the CT at rest, mm.
+    pub(crate) rest_spacing_mm: [f64; 3],
     camera: Camera,
     pub(crate) ijk_from_camera: Affine,
     pub(crate) origin_ijk: [f64; 3],
@@ -129,6 +133,8 @@ impl<'a> Frame<'a> {
             options,
             decoration: None,
             grid,
+            rest_from_lps: None,
+            rest_spacing_mm: grid.spacing_mm(),
             ijk_from_camera: ijk_from_lps.after(camera.lps_from_camera()),
             camera,
             origin_ijk,
@@ -169,6 +175,17 @@ impl<'a> Frame<'a> {
         }
         self.stop = transparency;
         Ok(self)
+    }
+
+    /// Return the frame with the map from patient space to the CT at rest, if its grid is that of a deformed CT.
+    ///
+    /// Texture and decoration are fixed to the tissue, and the normals read the same voxels as at rest, so that the
+    /// cached bricks remain valid while the patient breathes.
+    #[must_use]
+    pub const fn deformed(mut self, rest_from_lps: Affine, rest: &Grid) -> Self {
+        self.rest_from_lps = Some(rest_from_lps);
+        self.rest_spacing_mm = rest.spacing_mm();
+        self
     }
 
     /// Set the anatomical data that the decoration of an appearance needs.

@@ -15,6 +15,8 @@ pub(crate) struct Lighting {
     pub step_mm: f32,
     pub lps_from_ijk: [[f32; 3]; 3],
     pub ijk_from_lps: [[f32; 3]; 3],
+    /// Map from patient space to the CT at rest: matrix and offset in mm; `None` if the tissue is at rest.
+    pub rest_from_lps: Option<([[f32; 3]; 3], [f32; 3])>,
     pub camera_from_lps: [[f32; 3]; 3],
     /// Positions of the light guides relative to the camera's centre, LPS mm.
     pub guides: [[f32; 3]; 2],
@@ -51,6 +53,9 @@ impl Lighting {
             step_mm: frame.step_mm,
             lps_from_ijk: rows(frame.grid.lps_from_ijk()),
             ijk_from_lps: rows(frame.grid.ijk_from_lps()),
+            rest_from_lps: frame
+                .rest_from_lps
+                .map(|map| (rows(&map), map.column(3).map(|v| v as f32))),
             camera_from_lps: std::array::from_fn(|a| {
                 camera.lps_from_camera().column(a).map(|v| v as f32)
             }),

@@ -39,11 +39,9 @@ pub(crate) struct Normals {
 
 impl Normals {
     pub(crate) fn of(frame: &Frame<'_>) -> Self {
-        let lps_from_ijk = frame.grid.lps_from_ijk();
-        let reach: [f64; 3] = std::array::from_fn(|a| {
-            let spacing = carina_grid::length(lps_from_ijk.column(a));
-            (NORMAL_REACH_MM / spacing).max(NORMAL_REACH_VOX)
-        });
+        let reach = frame
+            .rest_spacing_mm
+            .map(|spacing| (NORMAL_REACH_MM / spacing).max(NORMAL_REACH_VOX));
         let ijk_from_lps = frame.grid.ijk_from_lps();
         let rows = ijk_from_lps.rows();
         Self {

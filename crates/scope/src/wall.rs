@@ -69,6 +69,28 @@ pub struct WallField {
     step_mm: f64,
     /// Tube whose inside belongs to the lumen too; its wall is not sampled.
     tube: Option<Tube>,
+    /// Deformation of the tissue since the samples were computed; `None` at rest.
+    strain: Option<Strain>,
+}
+
+/// Affine deformation of the tissue round the lumen.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Strain {
+    rest_from_lps: Affine,
+    /// Smallest factor by which the deformation changes a distance to a wall.
+    least: f64,
+}
+
+impl Strain {
+    /// Return the factor by which the deformation changes the distance to a plane wall with a unit normal at rest.
+    fn factor(&self, normal: [f64; 3]) -> f64 {
+        // A normal transforms by the inverse transpose of the deformation, whose length is the inverse of the factor.
+        let rows = self.rest_from_lps.rows();
+        let moved: [f64; 3] = std::array::from_fn(|a| {
+            rows[0][a] * normal[0] + rows[1][a] * normal[1] + rows[2][a] * normal[2]
+        });
+        1.0 / carina_grid::length(moved)
+    }
 }
 
 impl WallField {
@@ -157,6 +179,7 @@ impl WallField {
             samples: Arc::new(samples),
             step_mm: 0.5 * spacing[0].min(spacing[1]).min(spacing[2]),
             tube: None,
+            strain: None,
         })
     }
 
@@ -187,11 +210,55 @@ impl WallField {
         radius_mm: &[f64],
         excess_mm: &[f64],
     ) -> Result<Self, ScopeError> {
+        if self.strain.is_some() {
+            return Err(ScopeError::Wall {
+                reason: "it is deformed; add the tube to the wall at rest".to_owned(),
+            });
+        }
         let tube = Tube::new(axis_lps, radius_mm, excess_mm, self)?;
         Ok(Self {
             tube: Some(tube),
             ..self.clone()
         })
+    }
+
+    /// Return the field of the same wall after an affine deformation of the tissue, given as a map from rest to patient
+    /// space. The samples are shared.
+    ///
+    /// A distance is that at rest times the factor of the nearest wall's direction, which is exact for a plane wall. The
+    /// limits of the distance are multiplied by the smallest factor.
+    ///
+    /// # Errors
+    ///
+    /// Returns an error if the map is singular or mirrors the tissue, or if the field is already deformed.
+    pub fn deformed(&self, lps_from_rest: &Affine) -> Result<Self, ScopeError> {
+        let refuse = |reason: &str| {
+            Err(ScopeError::Wall {
+                reason: reason.to_owned(),
+            })
+        };
+        if self.strain.is_some() {
+            return refuse("it is already deformed; deform the wall at rest");
+        }
+        let Some(rest_from_lps) = lps_from_rest
+            .inverse()
+            .filter(|_| lps_from_rest.determinant() > 0.0)
+        else {
+            return refuse("the deformation is singular or mirrors the tissue");
+        };
+        Ok(Self {
+            strain: Some(Strain {
+                rest_from_lps,
+                least: 1.0 / largest_stretch(&rest_from_lps),
+            }),
+            ..self.clone()
+        })
+    }
+
+    /// Return whether the field is that of a deformed tissue ([`WallField::deformed`]).
+    #[must_use]
+    pub const fn is_deformed(&self) -> bool {
+        self.strain.is_some()
     }
 
     /// Return whether the field contains a tube ([`WallField::with_tube`]).
@@ -237,7 +304,12 @@ impl WallField {
             take(&piece);
         }
         if let Some(tube) = &self.tube {
-            tube.for_each_part(take);
+            tube.for_each_part(&mut take);
+        }
+        if let Some(strain) = &self.strain {
+            for v in strain.rest_from_lps.rows().iter().flatten() {
+                take(&v.to_le_bytes());
+            }
         }
     }
 
@@ -305,6 +377,7 @@ impl WallField {
             samples: Arc::new(samples),
             step_mm: 0.5 * spacing[0].min(spacing[1]).min(spacing[2]),
             tube: None,
+            strain: None,
         })
     }
 
@@ -321,6 +394,32 @@ impl WallField {
     /// Otherwise the result may be any value from the limit to the distance. It takes less time than
     /// [`WallField::distance_mm`], because the tube needs no test where the samples reach the limit.
     pub(crate) fn distance_up_to(&self, p_lps: [f64; 3], limit_mm: f64) -> f64 {
+        match &self.strain {
+            None => self.distance_at_rest(p_lps, limit_mm),
+            Some(strain) => self.strained_distance(strain, p_lps),
+        }
+    }
+
+    fn strained_distance(&self, strain: &Strain, p_lps: [f64; 3]) -> f64 {
+        let p = strain.rest_from_lps.point(p_lps);
+        let factor = carina_grid::unit(self.slope_at_rest(p))
+            .map_or(strain.least, |normal| strain.factor(normal));
+        (factor * self.distance_at_rest(p, f64::INFINITY))
+            .clamp(-OUTSIDE_MM * strain.least, INSIDE_MM * strain.least)
+    }
+
+    /// Return the differences of the distance at rest over twice the step along each axis.
+    fn slope_at_rest(&self, p: [f64; 3]) -> [f64; 3] {
+        let h = self.step_mm;
+        std::array::from_fn(|a| {
+            let (mut low, mut high) = (p, p);
+            low[a] -= h;
+            high[a] += h;
+            self.distance_at_rest(high, f64::INFINITY) - self.distance_at_rest(low, f64::INFINITY)
+        })
+    }
+
+    fn distance_at_rest(&self, p_lps: [f64; 3], limit_mm: f64) -> f64 {
         let at = self.lattice_from_lps.point(p_lps);
         let mut cell = [0usize; 3];
         let mut share = [0.0; 3];
@@ -383,15 +482,46 @@ impl WallField {
     /// constant.
     #[must_use]
     pub fn away_from_wall(&self, p_lps: [f64; 3]) -> Option<[f64; 3]> {
-        let h = self.step_mm;
-        let slope: [f64; 3] = std::array::from_fn(|a| {
-            let (mut low, mut high) = (p_lps, p_lps);
-            low[a] -= h;
-            high[a] += h;
-            self.distance_mm(high) - self.distance_mm(low)
-        });
-        carina_grid::unit(slope)
+        let Some(strain) = &self.strain else {
+            return carina_grid::unit(self.slope_at_rest(p_lps));
+        };
+        let normal = self.slope_at_rest(strain.rest_from_lps.point(p_lps));
+        let rows = strain.rest_from_lps.rows();
+        carina_grid::unit(std::array::from_fn(|a| {
+            rows[0][a] * normal[0] + rows[1][a] * normal[1] + rows[2][a] * normal[2]
+        }))
     }
+}
+
+/// Return the largest factor by which a map changes a length: the largest singular value of its matrix.
+fn largest_stretch(map: &Affine) -> f64 {
+    // The power iteration with the symmetric matrix `M^T M`, whose largest eigenvalue is the square of the factor. The
+    // row sums of the absolute values bound the eigenvalue, so the bound is safe before the iteration has converged.
+    let columns = [0, 1, 2].map(|c| map.column(c));
+    let mut square: [[f64; 3]; 3] =
+        std::array::from_fn(|a| std::array::from_fn(|b| carina_grid::dot(columns[a], columns[b])));
+    let mut exponent = 1.0;
+    let mut log_scale = 0.0;
+    for _ in 0..10 {
+        // The matrix is squared repeatedly: its row-sum norm to the power of 1/2^n approaches the eigenvalue from above.
+        let norm = row_sum(&square);
+        log_scale = 2.0 * (log_scale + libm::log(norm));
+        exponent *= 2.0;
+        let scaled = square.map(|row| row.map(|v| v / norm));
+        square = std::array::from_fn(|a| {
+            std::array::from_fn(|b| (0..3).map(|k| scaled[a][k] * scaled[k][b]).sum())
+        });
+    }
+    libm::sqrt(libm::exp(
+        (log_scale + libm::log(row_sum(&square))) / exponent,
+    ))
+}
+
+fn row_sum(matrix: &[[f64; 3]; 3]) -> f64 {
+    matrix
+        .iter()
+        .map(|row| row.iter().map(|v| v.abs()).sum())
+        .fold(0.0, f64::max)
 }
 
 impl Bricks for WallField {
@@ -539,6 +669,62 @@ mod tests {
                 .with_tube(&[[f64::INFINITY; 3], ends[1]], &[1.0, 1.0])
                 .is_err()
         );
+    }
+
+    #[test]
+    fn a_deformed_tube_has_the_distances_of_its_deformed_wall() {
+        let field = tube(4.0);
+        // The tube is narrowed to a share of 0.7, stretched along its axis and sheared; its wall stays round.
+        let map = Affine::from_rows([
+            [0.7, 0.0, 0.04, 1.0],
+            [0.0, 0.7, -0.03, -2.0],
+            [0.0, 0.0, 1.05, 3.0],
+        ]);
+        let moved = field.deformed(&map).unwrap();
+        for rest in [[1.5, 0.3, 1.3], [-2.0, 1.9, 4.0], [3.2, -2.0, -5.0]] {
+            let p = map.point(rest);
+            // The wall is an oblique cylinder, whose distance is that across it times the cosine of its slope.
+            let across = 0.7 * (4.0 - libm::hypot(rest[0], rest[1]));
+            let found = moved.distance_mm(p);
+            // The tolerance is that of the tube at rest plus the shear's 0.1 % of 2.8 mm.
+            assert!((found - across).abs() < 0.035, "{found} {across}");
+            let away = moved.away_from_wall(p).unwrap();
+            let inwards = [-rest[0], -rest[1], 0.0].map(|v| v / libm::hypot(rest[0], rest[1]));
+            assert!(length(std::array::from_fn(|a| away[a] - inwards[a])) < 0.12);
+        }
+        assert!(moved.deformed(&map).is_err() && moved.is_deformed());
+        assert!(
+            moved
+                .with_tube(&[[0.0, 0.0, -9.0], [0.0, 0.0, 9.0]], &[0.8, 0.8])
+                .is_err()
+        );
+        let mirror =
+            Affine::from_columns([-1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [0.0; 3]);
+        assert!(field.deformed(&mirror).is_err());
+        assert!(bytes_of(&moved) != bytes_of(&field));
+    }
+
+    #[test]
+    fn a_field_deformed_by_the_identity_equals_the_field() {
+        let field = tube(4.0);
+        let moved = field.deformed(&Affine::IDENTITY).unwrap();
+        for n in 0..200 {
+            let p = [0.02 * f64::from(n) - 2.0, 0.7, 0.08 * f64::from(n) - 8.0];
+            assert!((moved.distance_mm(p) - field.distance_mm(p)).abs() < 1e-12);
+            assert_eq!(moved.away_from_wall(p), field.away_from_wall(p));
+        }
+    }
+
+    #[test]
+    fn the_largest_stretch_of_a_map_is_its_largest_singular_value() {
+        let turned = Affine::from_rows([
+            [0.6, -0.8 * 1.3, 0.0, 5.0],
+            [0.8, 0.6 * 1.3, 0.0, 0.0],
+            [0.0, 0.0, 0.9, 0.0],
+        ]);
+        // The row sums exceed the eigenvalue by a factor of up to 3 to the power of 1/1024.
+        assert!((largest_stretch(&turned) - 1.3).abs() < 2e-3);
+        assert!((largest_stretch(&Affine::IDENTITY) - 1.0).abs() < 1e-12);
     }
 
     fn bytes_of(field: &WallField) -> Vec<u8> {

@@ -582,6 +582,13 @@ def phantom(
     resected: Annotated[
         str | None, typer.Option(help="Remove a lobe, as after a lobectomy: RUL, RML, RLL, LUL or LLL.")
     ] = None,
+    variant: Annotated[
+        str | None,
+        typer.Option(
+            help="Anatomical variant: tracheal-bronchus, subsuperior, absent-rb7, trifurcations, left-isomerism, or "
+            "published (by seed, with the published frequencies)."
+        ),
+    ] = None,
     mr: Annotated[
         bool, typer.Option("--mr", help="Write an MR picture of the chest, mr.nii.gz (not in HU), instead of a CT.")
     ] = False,
@@ -598,6 +605,7 @@ def phantom(
 
         check_output_folder(output)
         changes = {"stenosis": stenosis, "nodule": nodule, "neck": neck, "tube": tube, "resected": resected}
+        changes |= {"variant": variant}
         chosen = [f"--{name}" for name, value in changes.items() if value]
         if mr and chosen:
             msg = f"--mr: expected a chest without {', '.join(chosen)}; leave one of the two out"
@@ -616,6 +624,7 @@ def phantom(
                 neck=neck,
                 tube=tube,
                 resected=resected,
+                variant=variant,
                 progress=progress_printer(),
             )
         written = write_phantom(made, output)
@@ -680,6 +689,16 @@ def fly(
     captions: Annotated[
         bool, typer.Option("--captions", help="Write time, branch, depth and the next turn with its clock hour.")
     ] = False,
+    breathing: Annotated[
+        str | None,
+        typer.Option(
+            help="Simulate breathing: quiet (12 mm every 3.6 s), or the amplitude at the lung bases in mm and the "
+            "period in s, such as 18,5. Each frame states it."
+        ),
+    ] = None,
+    cough: Annotated[
+        str | None, typer.Option(help="With --breathing: times in s at which the patient coughs, such as 2.5,7.")
+    ] = None,
     keep: Annotated[
         Path | None,
         typer.Option(help="Folder that stores the frames, so that an interrupted video can be continued."),
@@ -726,6 +745,8 @@ def fly(
                 mixed=mixed,
                 keep=keep,
                 captions=captions,
+                breathing=breathing,
+                cough_s=cough,
             )
         )
 

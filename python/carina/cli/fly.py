@@ -6,12 +6,14 @@ import hashlib
 import json
 import time
 from collections.abc import Callable
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 import carina
+from carina.breathing import Breathing, ChestFrame
 from carina.case.routes import ChosenRoute
 from carina.cli.along import check_destination, print_drawn_parts, route_to
 from carina.cli.arguments import check_needs, check_output_file, check_range
@@ -24,7 +26,7 @@ from carina.cluster import ClusterRenderer, render_frames
 from carina.config import load_settings
 from carina.errors import NoResultError, UsageError
 from carina.export import VIDEO_SUFFIXES, VideoWriter
-from carina.export.flight_film import FrameOptions, distinct_images, write_frames
+from carina.export.flight_film import ChestMotion, FrameOptions, distinct_images, write_frames
 from carina.export.video import even_size, size_notes
 from carina.navigate import AutoFlight, KeyFrameFile, KeyFrameFlight, open_key_frames
 from carina.navigate.recording import ReplayedPose, case_key, sampled
@@ -70,6 +72,8 @@ def report(
     keep: Path | None = None,
     ct: Path | None = None,
     captions: bool = False,
+    breathing: str | None = None,
+    cough_s: str | None = None,
 ) -> int:
     """Render all frames and write the video, on a cluster if there is one, and continue from stored frames."""
     check_output_file(output, *VIDEO_SUFFIXES)
@@ -89,6 +93,9 @@ def report(
         check_needs("a route or key frames; a recording contains its scope", scope=scope)
     if cluster is None:
         check_needs("a cluster (--cluster)", mixed=mixed, token_file=token)
+    if breathing is None:
+        check_needs("breathing (--breathing)", cough=cough_s)
+    breath = None if breathing is None else parse_breathing(breathing, cough_s)
     check_case_options(path, ct, tree=tree)
     notes = size_notes(output, *size, rate_hz=rate_hz)
     for note in notes:
@@ -142,6 +149,8 @@ def report(
                 }
             view = _chosen_view(_stored_view(source, given), shown, chosen=scope is not None)
             frames = frames_of_flight(flight, view, rate_hz, progress=progress)
+        if breath is not None:
+            shown = replace(shown, motion=ChestMotion(breath, ChestFrame.of_tree(source.airways(progress).tree)))
         stored = None if keep is None else StoredFrames(keep, _job_digest(volume, frames, shown, mixed))
         num_images = len(distinct_images(frames, shown)[0])
         num_stored = 0 if stored is None else min(stored.num, num_images)
@@ -174,10 +183,42 @@ def report(
                 "render_s": seconds,
                 "num_kept": num_stored,
                 **facts,
+                **({} if breath is None else {"breathing": breath.to_json()}),
                 "badges": badges.to_json(),
             }
         )
     return 0
+
+
+def parse_breathing(text: str, cough_s: str | None = None) -> Breathing:
+    """Return the breathing of ``--breathing`` and ``--cough``: *quiet*, or amplitude in mm and period in s.
+
+    Examples
+    --------
+    >>> parse_breathing("quiet") == Breathing()
+    True
+    >>> parse_breathing("18,5", "2.5,7").coughs_s
+    (2.5, 7.0)
+    """
+
+    def numbers(option: str, given: str, expected: str) -> list[float]:
+        try:
+            return [float(part) for part in given.split(",")]
+        except ValueError:
+            raise UsageError(f"{option}: expected {expected}; found {given!r}") from None
+
+    values: dict[str, Any] = {}
+    if text != "quiet":
+        expected = "quiet, or the amplitude in mm and the period in s, such as 12,3.6"
+        found = numbers("--breathing", text, expected)
+        if len(found) != 2:
+            raise UsageError(f"--breathing: expected {expected}; found {text!r}")
+        values = {"craniocaudal_mm": found[0], "period_s": found[1]}
+        # The other amplitude has its published ratio to the first.
+        values["anteroposterior_mm"] = found[0] * Breathing().anteroposterior_mm / Breathing().craniocaudal_mm
+    if cough_s is not None:
+        values["coughs_s"] = tuple(numbers("--cough", cough_s, "times in s, separated by commas"))
+    return Breathing(**values)
 
 
 def _captions(
@@ -218,7 +259,10 @@ def _job_digest(volume: Volume, frames: list[ReplayedPose], shown: FrameOptions,
     settings = load_settings()
     facts = [case_key(volume), carina.__version__, shown.size, shown.scope, shown.step_vox, settings.backend, mixed]
     digest.update(json.dumps(facts).encode())
+    if shown.motion is not None:
+        digest.update(json.dumps([shown.motion.breathing.to_json(), asdict(shown.motion.chest)]).encode())
     for frame in frames:
+        digest.update(json.dumps(frame.time_s).encode() if shown.motion is not None else b"")
         digest.update(np.ascontiguousarray(frame.pose.lps_from_camera, "<f8").tobytes())
         digest.update(json.dumps([frame.view, frame.picture_turned], sort_keys=True).encode())
     return digest.hexdigest()

@@ -13,6 +13,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from carina.breathing import MOVED_TEXT, Breathing, ChestFrame
 from carina.display.dot_letters import with_text_lines
 from carina.errors import CancelledError, UsageError
 from carina.export.video import VideoWriter
@@ -35,6 +36,16 @@ class FrameOptions:
     scope: str | None
     """Instrument of frames whose view has none; None for a pinhole camera of 90 degrees."""
     step_vox: float
+    motion: ChestMotion | None = None
+    """Breathing of the patient; None shows the CT as it is."""
+
+
+@dataclass(frozen=True, slots=True)
+class ChestMotion:
+    """Breathing of a patient with a known chest during a flight; the tissue round the tip carries the tip along."""
+
+    breathing: Breathing
+    chest: ChestFrame
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -98,7 +109,7 @@ def distinct_images(frames: Sequence[ReplayedPose], options: FrameOptions) -> tu
     last: tuple[int, int] | None = None
     for frame in frames:
         same = (id(frame.pose), id(frame.view))
-        if same == last:
+        if same == last and options.motion is None:
             times_shown[-1] += 1
             continue
         last = same
@@ -112,6 +123,10 @@ def frame_view(frame: ReplayedPose, options: FrameOptions) -> AirwayView:
     view = frame.view
     settings: dict[str, Any] = {"width": options.size[0], "height": options.size[1], "step_vox": options.step_vox}
     settings |= {name: view[name] for name in ("shading", "texture", "fov_deg") if name in view}
+    if options.motion is not None:
+        deformation = options.motion.breathing.at(frame.time_s, options.motion.chest)
+        frame = replace(frame, pose=frame.pose.carried_by(deformation))
+        settings["deformation"] = deformation
     scope = view.get("scope", options.scope)
     outline = view.get("mask")
     if scope is None:
@@ -153,7 +168,8 @@ def write_frames(
         Returns the lines of text in a frame at a time, s; None writes no text. A decorated frame contains the word
         *decorated* in either case.
     mark
-        Line of text in every frame (``carina.volume.inserted_structures.picture_mark``); None for none.
+        Line of text in every frame (``carina.volume.inserted_structures.picture_mark``); None for none. Frames of a
+        patient that breathes contain the text *simulated breathing*.
     stored
         Store of finished images, which are not rendered again; new images are added.
     render_frames
@@ -176,6 +192,7 @@ def write_frames(
                 raise CancelledError("stopped while rendering the video")
             lines = () if captions is None else tuple(captions(frames[video.num_frames], video.duration_s))
             lines = lines if mark is None else (mark, *lines)
+            lines = lines if options.motion is None else (MOVED_TEXT, *lines)
             video.add(with_text_lines(rgb, lines) if lines else rgb)
         if progress is not None:
             progress("rendering frames", video.num_frames / len(frames))

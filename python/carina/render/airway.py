@@ -60,8 +60,8 @@ class AirwayCaster:
             return self._cast_over_values(scene, view, scene.class_maps, rows=rows, stop=stop, leaps=leaps)
 
         method, _ = _choose_method(scene, view, _needs_shading(scene, view))
-        # Method "leap-all" (leaps over all classes) exists on the CPU only.
-        on_device = method != "leap-all"
+        # Method "leap-all" (leaps over all classes) and deformations exist on the CPU only.
+        on_device = method != "leap-all" and view.lps_from_rest is None
         picture = None
         if on_device:
             picture = self._device.try_cast(scene, view, leaps=method == "leap", cast=cast)
@@ -157,6 +157,7 @@ class AirwayCaster:
             stop_transparency=view.stop_transparency,
             always_leap=leaps is True or view.method == "leap-always",
             bricks=self._shared_bricks(scene),
+            lps_from_rest=view.lps_from_rest,
         )
         method = method if gpu is None else f"gpu-{method}"
         if view.depth_of_field is not None:
@@ -171,6 +172,7 @@ class AirwayCaster:
             fov_deg=view.optics.fov_deg,
             optics=None if view.lens == PINHOLE else view.optics,
             decorated=_shown_decorations(scene, appearance),
+            lps_from_rest=view.lps_from_rest,
         )
 
     def surface(self, scene: Scene, view: AirwayView, *, rows: tuple[int, int] | None = None) -> Surface:
@@ -214,6 +216,7 @@ class AirwayCaster:
             radius_zyx=radius,
             simd=self._simd,
             lens=_lens_or_mask_rays(view),
+            lps_from_rest=view.lps_from_rest,
         )
 
     def _shared_bricks(self, scene: Scene) -> _core.Bricks:

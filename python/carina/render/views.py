@@ -26,6 +26,7 @@ from carina.argument_checks import (
     shown,
     text_of,
 )
+from carina.breathing import MOVED_TEXT, ChestDeformation
 from carina.disk import write_whole
 from carina.display import one_line
 from carina.display.dot_letters import with_text_lines
@@ -143,6 +144,9 @@ class AirwayView:
     texture
         Whether decoration is drawn, which does not come from the CT: mottling, micro relief and vessels, rings,
         membranous wall, colour by region, pale ridges.
+    deformation
+        Deformation of the chest at the instant of the picture (:class:`carina.breathing.Breathing`); the pose is then
+        one in the moved patient. None, and a deformation that moves nothing, show the CT as it is, bit for bit.
     """
 
     pose: Pose
@@ -158,6 +162,7 @@ class AirwayView:
     stop_transparency: float = STOP_TRANSPARENCY
     guides_mm: tuple[tuple[float, float, float], ...] | None = None
     texture: bool = True
+    deformation: ChestDeformation | None = None
 
     def __post_init__(self) -> None:
         """Raise an error if a field of this `AirwayView` has an invalid value."""
@@ -176,6 +181,7 @@ class AirwayView:
             stop_transparency=any_number(),
             guides_mm=each(lps_point(), least=1, most=16, optional=True),
             texture=flag,
+            deformation=instance(ChestDeformation, "get one from carina.breathing.Breathing.at", optional=True),
         )
         # A lens that does not fit the picture is rejected before any ray is cast; the picture uses the same optics.
         _ = self.optics
@@ -191,6 +197,11 @@ class AirwayView:
             raise RenderError(msg, code="render.setting")
         if self.guides_mm is not None:
             check_guides(self.guides_mm)
+
+    @property
+    def lps_from_rest(self) -> NDArray[np.float64] | None:
+        """Matrix (4, 4) from the CT at rest to the moved patient, mm; None if nothing moves."""
+        return None if self.deformation is None or self.deformation.is_rest else self.deformation.lps_from_rest
 
     @property
     def optics(self) -> Optics:
@@ -588,6 +599,9 @@ class Picture:
     decorated
         Decoration in the picture that does not come from the CT, as names of fields of
         :class:`carina.render.Appearance`.
+    lps_from_rest
+        Matrix (4, 4) from the CT at rest to the patient in the picture, mm, if breathing has moved the patient. Saved
+        pictures then contain the text *simulated breathing*.
 
     Examples
     --------
@@ -609,6 +623,7 @@ class Picture:
     lines: PictureLines | None = None
     optics: Optics | None = None
     decorated: tuple[DecorationName, ...] = ()
+    lps_from_rest: NDArray[np.float64] | None = None
 
     def __repr__(self) -> str:
         """Return a one-line description of this `Picture` for the Python interpreter."""
@@ -666,6 +681,7 @@ class Picture:
             "lps_from_pixel": rows(self.lps_from_pixel),
             "fov_deg": None if self.fov_deg is None else float(self.fov_deg),
             "decorated": list(self.decorated),
+            **({} if self.lps_from_rest is None else {"lps_from_rest": rows(self.lps_from_rest)}),
         }
 
     def save(self, path: str | os.PathLike[str], *, badges: Sequence[Note] = ()) -> Path:
@@ -692,7 +708,9 @@ class Picture:
         if badges:
             rows = [{"code": badge.code, "words": badge.words} for badge in badges]
             words[BADGES_KEYWORD] = json.dumps(rows)
-        rgb = self.rgb
-        if any(badge.code == INSERTED for badge in badges):
-            rgb = with_text_lines(rgb, [PICTURE_TEXT])  # visible, because other programs show no text chunk
+        # The lines are visible, because other programs show no text chunk.
+        lines = [PICTURE_TEXT] if any(badge.code == INSERTED for badge in badges) else []
+        if self.lps_from_rest is not None:
+            lines.append(MOVED_TEXT)
+        rgb = with_text_lines(self.rgb, lines) if lines else self.rgb
         return png_bytes(np.ascontiguousarray(rgb), words)

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from carina.argument_checks import check_arguments, check_fields, numbers_within
+from carina.argument_checks import check_arguments, check_fields, instance, numbers_within
+from carina.breathing import ChestDeformation
 from carina.display import as_words
 from carina.errors import UsageError
 
@@ -122,6 +123,25 @@ class Pose:
         m[:3, :3] = np.column_stack([right, down, forward])
         m[:3, 3] = at
         return cls(m)
+
+    @check_arguments(deformation=instance(ChestDeformation, "get one from carina.breathing.Breathing.at"))
+    def carried_by(self, deformation: ChestDeformation) -> Pose:
+        """Return the pose of a tip that the tissue round it carries along, from the CT at rest to the moved patient.
+
+        The viewing direction follows the airway, and the picture is not rolled about it more than the tissue is.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> import carina
+        >>> moved = carina.breathing.ChestDeformation(np.diag([1.0, 1.0, 0.9, 1.0]))
+        >>> Pose.looking((10, 0, -20), (0, 0, -1)).carried_by(moved)
+        Pose(position_lps=(10, 0, -18), forward_lps=(0, 0, -1))
+        """
+        if deformation.is_rest:
+            return self
+        moved = deformation.lps_from_rest[:3, :3] @ self.lps_from_camera[:3, :3]
+        return Pose.looking(deformation.points(self.position_lps)[0], moved[:, 2], -moved[:, 1])
 
     @property
     def position_lps(self) -> NDArray[np.float64]:

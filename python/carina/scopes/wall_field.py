@@ -21,6 +21,7 @@ from carina.argument_checks import (
     lps_points,
     number_from,
 )
+from carina.breathing import ChestDeformation
 from carina.display import one_line
 from carina.display.progress import ProgressChoice, progress_function, share_function, shows_progress
 from carina.errors import UsageError, refuse_pickle
@@ -176,6 +177,36 @@ class WallField:
         excess = np.zeros(len(radius)) if excess_mm is None else np.asarray(excess_mm, dtype=np.float64)
         return WallField(self.core.with_tube(axis, radius.tolist(), excess.tolist()))
 
+    @check_arguments(deformation=instance(ChestDeformation, "get one from carina.breathing.Breathing.at"))
+    def deformed(self, deformation: ChestDeformation) -> WallField:
+        """Return the field of this wall in the moved patient; the samples are shared.
+
+        A distance is that at rest times the factor by which the deformation changes the distance to a plane wall with
+        the direction of the nearest wall. The error is 0 at the wall (docs/decisions/0155). The limits of the distances
+        are multiplied by the smallest factor.
+
+        Parameters
+        ----------
+        deformation
+            Deformation of the chest; one that moves nothing returns this field.
+
+        Raises
+        ------
+        UsageError
+            If the field is already deformed (code ``scope.wall``).
+
+        Examples
+        --------
+        >>> import carina
+        >>> k, j, i = np.indices((21, 21, 21)) - 10.0
+        >>> ball = 4.0 - np.sqrt(i * i + j * j + k * k)
+        >>> wall = WallField.from_distances(ball.astype(np.float32), np.eye(4))
+        >>> half = wall.deformed(carina.breathing.ChestDeformation(np.diag([0.5, 0.5, 0.5, 1.0])))
+        >>> round(float(half.distance_mm([[5.0, 5.0, 4.0]])[0]), 1)
+        1.0
+        """
+        return self if deformation.is_rest else WallField(self.core.deformed(deformation.lps_from_rest))
+
     def to_bytes(self) -> bytes:
         """Return grid and samples as bytes (a copy), for compiled modules of other packages.
 
@@ -184,10 +215,12 @@ class WallField:
         Raises
         ------
         UsageError
-            If the field has a tube (code ``scope.wall``).
+            If the field has a tube or is deformed (code ``scope.wall``).
         """
         if self.core.has_tube:
             raise UsageError("to_bytes: a wall with a tube has no bytes; use the wall without it", code="scope.wall")
+        if self.core.is_deformed:
+            raise UsageError("to_bytes: a deformed wall has no bytes; use the wall at rest", code="scope.wall")
         return self.core.to_bytes()
 
     def digest(self) -> str:

@@ -118,7 +118,11 @@ fn lit<L: Lanes>(
     let mut thick = s(MEAN_FILM);
     let mut tint = [s(1.0); 3];
     let mut bumps = (s(0.0), [s(0.0); 3]);
-    let lps = along(l, splat(l, light.camera_lps), s(1.0), offset);
+    let mut lps = along(l, splat(l, light.camera_lps), s(1.0), offset);
+    if let Some((matrix, origin)) = &light.rest_from_lps {
+        // Texture, decoration and film are fixed to the tissue, so they are looked up at its place at rest.
+        lps = along(l, splat(l, *origin), s(1.0), turn(l, matrix, lps));
+    }
     let footprint = l.mul(depth, s(light.pixel_mm));
     let decoration = decoration.filter(|_| look.knows_anatomy());
     let textured = look.texture > 0.0 || look.vessels > 0.0 || look.specks > 0.0;

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from carina.display import one_line
 from carina.track.names.anatomy_model import LOBES, grammar
-from carina.track.names.name_texts import MIRRORED_CHEST, bare_name, name_words
+from carina.track.names.name_texts import LEFT_ISOMERISM, MIRRORED_CHEST, bare_name, name_words
 from carina.track.names.naming import segments_of_unnamed
 from carina.track.names.scan_extent import ScanExtent
 from carina.track.names.tree_fit import MISFIT
@@ -197,17 +197,20 @@ def find_absent(
     is_mirrored = "LML" in names or (tree.root.variant or "").startswith(MIRRORED_CHEST)
     found = _NamedTree(tree, names, uncertain, volume, is_mirrored=is_mirrored)
     missing = []
-    for lobe, keys in LOBES.items():
-        there = _on_side(lobe, is_mirrored)
-        carriers = [_on_side(name, is_mirrored) for name in _LOBE_CARRIERS[lobe]]
+    lobes = [(lobe, keys, is_mirrored) for lobe, keys in LOBES.items()]
+    if (tree.root.variant or "").startswith(LEFT_ISOMERISM):
+        lobes = [(lobe, LOBES[lobe], swaps) for swaps in (True, False) for lobe in ("LUL", "LLL")]
+    for lobe, keys, swaps in lobes:
+        there = _on_side(lobe, swaps)
+        carriers = [_on_side(name, swaps) for name in _LOBE_CARRIERS[lobe]]
         if there not in found.lobes:
-            segments = frozenset(_on_side(key, is_mirrored) for key in _segments(keys))
+            segments = frozenset(_on_side(key, swaps) for key in _segments(keys))
             missing.append(_Missing(there, lobe, (there, *carriers), segments))
             continue
         for key in _segments(keys):
-            segment = _on_side(key, is_mirrored)
+            segment = _on_side(key, swaps)
             if not found.has(segment):
-                trunk = [_on_side(_TRUNKS[key], is_mirrored)] if key in _TRUNKS else []
+                trunk = [_on_side(_TRUNKS[key], swaps)] if key in _TRUNKS else []
                 stems = found.stems_of(segment)
                 missing.append(_Missing(segment, key, (*stems, *trunk, there, *carriers), frozenset({segment})))
     absences = tuple(found.absence(one, missing) for one in missing)
@@ -236,7 +239,8 @@ def _on_side(name: str, is_mirrored: bool) -> str:
         return name
     if name in ("Right basal trunk", "Left basal trunk"):
         return "Left basal trunk" if name.startswith("Right") else "Right basal trunk"
-    return name[0].translate(_SWAP) + name[1:] if name[:2] in ("RB", "LB") or name in _LOBE_CARRIERS else name
+    swaps = name[:2] in ("RB", "LB") or name in _LOBE_CARRIERS or name in ("RMB", "LMB")
+    return name[0].translate(_SWAP) + name[1:] if swaps else name
 
 
 def _segments(keys: Sequence[str]) -> Iterator[str]:

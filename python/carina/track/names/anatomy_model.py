@@ -132,6 +132,9 @@ _TRUNKS: dict[str, Vector] = {
     "LLL": (0.30, 0.40, -0.87),
 }
 
+_TRACHEA = (0.0, 0.22, -0.97)
+"""Direction of the trachea, x to the left."""
+
 TRUNCATED = math.log(0.25)
 """Log odds that the branch of a stem of two segments ends before the stem divides."""
 TRUNCATED_MORE = -0.5
@@ -199,10 +202,40 @@ class Grammar:
     root_log_prior: NDArray[np.float64]
     """Log probability of each state at the root of a tree."""
     index: dict[str, int] = field(repr=False, default_factory=dict)
+    left_isomerism: bool = False
+    """Whether the right lung has the pattern of the left one."""
 
     def __len__(self) -> int:
         """Return the number of states."""
         return len(self.names)
+
+
+def mirrored_key(key: str) -> str:
+    """Return the key or the lobe of the other side, such as RB6 for LB6."""
+    return {"L": "R", "R": "L"}[key[0]] + key[1:]
+
+
+@dataclass(frozen=True, slots=True)
+class _Lobe:
+    """Lobe of a grammar: its segments, and the lobe of a usual chest whose pattern it has."""
+
+    name: str
+    keys: tuple[str, ...]
+    pattern: str
+
+    @property
+    def halves(self) -> frozenset[str]:
+        """Keys of the two halves of segment 1+2; empty in a lobe without this segment."""
+        side = self.name[0]
+        return frozenset({f"{side}B1", f"{side}B2"}) if self.pattern == "LUL" else frozenset()
+
+    @property
+    def groups_lost(self) -> list[frozenset[str]]:
+        """Groups of segments that a search loses together."""
+        own = [group for group in GROUPS_LOST if group <= set(LOBES[self.pattern])]
+        if self.pattern == self.name:
+            return own
+        return [frozenset(map(mirrored_key, group)) for group in own]
 
 
 def _stem_aptness(lobe: str, part: frozenset[str], seen: frozenset[str]) -> float:
@@ -227,14 +260,15 @@ def _short(key: str) -> str:
     return key[2:]
 
 
-def _set_name(lobe: str, keys: frozenset[str]) -> str:
-    order = [key for key in LOBES[lobe] if key in keys and (len(keys) == 1 or not key.endswith("*"))]
+def _set_name(of: _Lobe, keys: frozenset[str]) -> str:
+    lobe = of.name
+    order = [key for key in of.keys if key in keys and (len(keys) == 1 or not key.endswith("*"))]
     if lobe == "LUL" and {"LB1", "LB2"} <= keys:
         if keys == {"LB1", "LB2", "LB3"}:
             return "Upper division"
         if len(keys) == 5:
             return "LUL"
-    if keys == frozenset(LOBES[lobe]) or keys == {key for key in LOBES[lobe] if not key.endswith("*")}:
+    if keys == frozenset(of.keys) or keys == {key for key in of.keys if not key.endswith("*")}:
         return lobe
     if keys == {"LB4", "LB5"}:
         return "Lingula"
@@ -278,25 +312,25 @@ def _exact(keys: frozenset[str]) -> str:
     return "=" + ",".join(sorted(keys))
 
 
-def _add_lobe(build: _Builder, lobe: str, segments: dict[str, Segment]) -> None:
+def _add_lobe(build: _Builder, of: _Lobe, segments: dict[str, Segment]) -> None:
     """Add the exact sets of a lobe's segments, their divisions, and the lobe itself."""
-    keys = LOBES[lobe]
+    lobe, keys, halved = of.name, of.keys, of.halves
     sets = [frozenset(c) for size in range(1, len(keys) + 1) for c in itertools.combinations(keys, size)]
     for keys_of in sets:
-        single = len(keys_of) == 1 or keys_of == {"LB1", "LB2"}
-        name = _set_name(lobe, keys_of)
-        trunk = _TRUNKS[lobe] if name == lobe else None
+        single = len(keys_of) == 1 or keys_of == halved
+        name = _set_name(of, keys_of)
+        trunk = _TRUNKS[of.pattern] if name == lobe else None
         build.add(_exact(keys_of), name=name, kind="segment" if single else "set", keys=keys_of, lobe=lobe, trunk=trunk)
     for whole in sets:
-        if len(whole) == 1 or whole == {"LB1", "LB2"}:
+        if len(whole) == 1 or whole == halved:
             continue
         seen = frozenset(_short(key) for key in whole)
         # Each unordered pair is added once: by the part with the first key.
         first = min(whole, key=keys.index)
         parts = [part for part in sets if part < whole and first in part]
         apt = [
-            _stem_aptness(lobe, frozenset(map(_short, part)), seen)
-            * _stem_aptness(lobe, frozenset(map(_short, whole - part)), seen)
+            _stem_aptness(of.pattern, frozenset(map(_short, part)), seen)
+            * _stem_aptness(of.pattern, frozenset(map(_short, whole - part)), seen)
             for part in parts
         ]
         total = sum(apt)
@@ -304,22 +338,22 @@ def _add_lobe(build: _Builder, lobe: str, segments: dict[str, Segment]) -> None:
             if weight > 0.0:
                 build.divide(_exact(whole), _exact(part), _exact(whole - part), weight / total)
 
-    def odds(part: frozenset[str], of: tuple[str, ...]) -> float:
+    def odds(part: frozenset[str], present: tuple[str, ...]) -> float:
         # LB1 without LB2 is very rare: it is a part of LB1+2 that was named separately.
-        halves = len(part & {"LB1", "LB2"}) == 1
-        share = math.prod(1.0 - segments[k].absent if k in part else segments[k].absent for k in of)
-        for group in GROUPS_LOST:
-            if group <= set(of) and not group & part:
+        halves = len(part & halved) == 1
+        share = math.prod(1.0 - segments[k].absent if k in part else segments[k].absent for k in present)
+        for group in of.groups_lost:
+            if group <= set(present) and not group & part:
                 # A search that stopped on the stem loses all segments of the stem at once.
-                rest = (k for k in of if k not in group)
+                rest = (k for k in present if k not in group)
                 share += GROUP_LOST * math.prod(
                     1.0 - segments[k].absent if k in part else segments[k].absent for k in rest
                 )
         return share * (0.05 if halves else 1.0)
 
-    build.add(lobe, name=lobe, kind="lobe", keys=frozenset(keys), lobe=lobe, trunk=_TRUNKS[lobe])
+    build.add(lobe, name=lobe, kind="lobe", keys=frozenset(keys), lobe=lobe, trunk=_TRUNKS[of.pattern])
     build.stands_for(lobe, [(_exact(part), odds(part, keys)) for part in sets])
-    if lobe in {"RLL", "RUL"}:
+    if of.pattern in {"RLL", "RUL"}:
         # A lobe without RB6, which then arises above it, or without RB1, which then arises from the trachea or main
         # bronchus.
         resected = "RB6" if lobe == "RLL" else "RB1"
@@ -329,13 +363,11 @@ def _add_lobe(build: _Builder, lobe: str, segments: dict[str, Segment]) -> None:
         build.stands_for(f"{lobe}-{resected}", [(_exact(p), odds(p, rest)) for p in sets if resected not in p])
 
 
-@functools.cache
-def grammar() -> Grammar:
-    """Return the grammar of both lungs, with usual and uncommon divisions."""
+def _add_usual_lungs(build: _Builder) -> dict[str, Segment]:
+    """Add lobes and trunks of the lungs of a usual chest, and return the segments by key."""
     segments = {s.key: s for s in (*_RIGHT, *_LEFT)}
-    build = _Builder()
-    for lobe in LOBES:
-        _add_lobe(build, lobe, segments)
+    for lobe, keys in LOBES.items():
+        _add_lobe(build, _Lobe(lobe, keys, lobe), segments)
     right, left = frozenset(s.key for s in _RIGHT), frozenset(s.key for s in _LEFT)
     lower = frozenset(LOBES["RML"] + LOBES["RLL"])
     build.add("BI-RB6", name="BI", kind="trunk", keys=lower - {"RB6"}, lobe=None, trunk=_TRUNKS["BI"])
@@ -343,10 +375,9 @@ def grammar() -> Grammar:
     build.add("RMB-RB1", name="RMB", kind="trunk", keys=right - {"RB1"}, lobe=None, trunk=_TRUNKS["RMB"])
     build.add("RMB", name="RMB", kind="trunk", keys=right, lobe=None, trunk=_TRUNKS["RMB"])
     build.add("LMB", name="LMB", kind="trunk", keys=left, lobe=None, trunk=_TRUNKS["LMB"])
-    trachea = (0.0, 0.22, -0.97)
-    build.add("Trachea-RUL", name="Trachea", kind="trunk", keys=left | lower, lobe=None, trunk=trachea)
-    build.add("Trachea-RB1", name="Trachea", kind="trunk", keys=left | (right - {"RB1"}), lobe=None, trunk=trachea)
-    build.add("Trachea", name="Trachea", kind="trunk", keys=left | right, lobe=None, trunk=trachea)
+    build.add("Trachea-RUL", name="Trachea", kind="trunk", keys=left | lower, lobe=None, trunk=_TRACHEA)
+    build.add("Trachea-RB1", name="Trachea", kind="trunk", keys=left | (right - {"RB1"}), lobe=None, trunk=_TRACHEA)
+    build.add("Trachea", name="Trachea", kind="trunk", keys=left | right, lobe=None, trunk=_TRACHEA)
 
     build.divide("BI-RB6", "RML", "RLL-RB6", 1.0)
     build.divide("BI", "RML", "RLL", 0.94)
@@ -364,6 +395,38 @@ def grammar() -> Grammar:
     # A lobe or a lung may be removed, collapsed or cut off by the edge of the CT.
     build.stands_for("BI", [("RLL", 0.02), ("RML", 0.004)])
     build.stands_for("RMB", [("BI", 0.01), ("RUL", 0.004)])
+    return segments
+
+
+def _add_isomeric_lungs(build: _Builder) -> dict[str, Segment]:
+    """Add lobes and trunks of two left lungs, the right of which is a mirror image, and return the segments by key."""
+    mirrored = (
+        Segment(mirrored_key(s.key), mirrored_key(s.lobe), s.direction, s.place, s.absent, s.bulk) for s in _LEFT
+    )
+    segments = {s.key: s for s in (*mirrored, *_LEFT)}
+    for pattern in ("LUL", "LLL"):
+        keys = LOBES[pattern]
+        _add_lobe(build, _Lobe(mirrored_key(pattern), tuple(map(mirrored_key, keys)), pattern), segments)
+        _add_lobe(build, _Lobe(pattern, keys, pattern), segments)
+    for side in ("R", "L"):
+        keys_of = frozenset(key for key in segments if key.startswith(side))
+        name = f"{side}MB"
+        build.add(name, name=name, kind="trunk", keys=keys_of, lobe=None, trunk=_TRUNKS["LMB"])
+        build.divide(name, f"{side}UL", f"{side}LL", 0.97)
+    build.add("Trachea", name="Trachea", kind="trunk", keys=frozenset(segments), lobe=None, trunk=_TRACHEA)
+    build.divide("Trachea", "RMB", "LMB", 0.97)
+    build.stands_for("RMB", [("RLL", 0.01), ("RUL", 0.01)])
+    return segments
+
+
+@functools.cache
+def grammar(*, left_isomerism: bool = False) -> Grammar:
+    """Return the grammar of both lungs, with usual and uncommon divisions.
+
+    In a left isomerism, the right lung is the mirror image of the left one: it has two lobes and no RB7.
+    """
+    build = _Builder()
+    segments = _add_isomeric_lungs(build) if left_isomerism else _add_usual_lungs(build)
     build.stands_for("LMB", [("LLL", 0.01), ("LUL", 0.01)])
     build.stands_for("Trachea", [("RMB", 0.006), ("LMB", 0.006)])
 
@@ -399,7 +462,8 @@ def grammar() -> Grammar:
         ("BI", 0.005),
         *((lobe, 0.005) for lobe in LOBES),
     ):
-        root[build.index[label]] = math.log(share)
+        if label in build.index:
+            root[build.index[label]] = math.log(share)
     return Grammar(
         names=build.names,
         segments=build.keys,
@@ -422,4 +486,5 @@ def grammar() -> Grammar:
         shrink=build.shrink,
         root_log_prior=root,
         index=build.index,
+        left_isomerism=left_isomerism,
     )

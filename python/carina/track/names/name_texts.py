@@ -12,6 +12,9 @@ MIRRORED = "track.mirrored"
 MIRRORED_CHEST = "mirrored"
 """First word of the variant of a trachea if the three-lobed lung is on the left."""
 
+LEFT_ISOMERISM = "left isomerism"
+"""First words of the variant of a trachea if both lungs have the pattern of the left one."""
+
 # Segment: (name by Jackson and Huber, lobe).
 _SEGMENTS = {
     "RB1": ("apical segment", "RUL"),

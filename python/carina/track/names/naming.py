@@ -18,7 +18,15 @@ from numpy.typing import NDArray
 from carina.track.names.anatomy_model import LOBES, Grammar, grammar
 from carina.track.names.assignment import Solution, Solver
 from carina.track.names.letters import LetterRule, letter_order
-from carina.track.names.name_texts import MIRRORED, MIRRORED_CHEST, NameWords, bare_name, name_words, segment_of
+from carina.track.names.name_texts import (
+    LEFT_ISOMERISM,
+    MIRRORED,
+    MIRRORED_CHEST,
+    NameWords,
+    bare_name,
+    name_words,
+    segment_of,
+)
 from carina.track.names.tree_fit import MISFIT, POOR_FIT, calibrated, fit_of, misfit_note
 from carina.track.names.tree_shape import Bronchus, body_frame, bronchi_of, find_lungs, refined_frame
 from carina.track.names.without_drawn import carried_names, seen_part
@@ -77,6 +85,8 @@ _VARIANT_STEMS = {
     "LB*": "a subsuperior bronchus (found in one patient in six)",
 }
 _SWAP = str.maketrans("RL", "LR")
+LOG_ISOMERISM = math.log(3.6e-5)
+"""Log odds of a left isomerism: heterotaxy in 0.8 of 10,000 births (Lin 2014), 35 of 78 of them left (Oreto 2023)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -295,9 +305,8 @@ def _read(tree: AirwayTree, *, judges_fit: bool = True) -> _Named:
         solver = Solver(
             rules, bronchi, lungs, frame, mirrored=mirrored, wishes=wishes, held=held, max_forks=COARSE_FORKS
         )
-        return solver.log_evidence - 0.5 * (_angle(frame) / TURN_SPREAD_RAD) ** 2 + (
-            LOG_MIRRORED if mirrored else 0.0
-        ), solver
+        log_odds = LOG_MIRRORED if mirrored else LOG_ISOMERISM if rules.left_isomerism else 0.0
+        return solver.log_evidence - 0.5 * (_angle(frame) / TURN_SPREAD_RAD) ** 2 + log_odds, solver
 
     def refined(
         score: float, solver: Solver, frame: NDArray[np.float64], *, mirrored: bool = False
@@ -323,7 +332,7 @@ def _read(tree: AirwayTree, *, judges_fit: bool = True) -> _Named:
         if other > score:
             score, best, frame = other, solver, guess
     mirrored = False
-    first = frame
+    first, unrefined = frame, score
     score, frame = refined(score, best, first)
     if lungs:
         other, solver = attempt(first, mirrored=True)
@@ -332,6 +341,16 @@ def _read(tree: AirwayTree, *, judges_fit: bool = True) -> _Named:
             straight = other if first is not guess else attempt(np.eye(3), mirrored=True)[0]
             score, frame = refined(other, solver, first, mirrored=True)
             mirrored = True
+    if lungs and not mirrored:
+        usual, rules = rules, grammar(left_isomerism=True)
+        usual_constraints, (wishes, held) = (wishes, held), _constraints(rules, bronchi, given)
+        other, solver = attempt(first)
+        # Both readings are compared in the same frame, which neither has refined.
+        if other > unrefined:
+            straight = other if first is not guess else attempt(np.eye(3))[0]
+            score, frame = refined(other, solver, first)
+        else:
+            rules, (wishes, held) = usual, usual_constraints
     # A weakly supported rotation is mostly noise and would change with every tip, so the frame turns by a share of it.
     frame = _part_of(frame, 1.0 - MIN_GAIN / max(score - straight, MIN_GAIN))
     final = Solver(rules, bronchi, lungs, frame, mirrored=mirrored, wishes=wishes, held=held)
@@ -474,13 +493,20 @@ def _names_of(read: _Named, rule: LetterRule) -> tuple[dict[int, tuple[str | Non
             f"{MIRRORED_CHEST}: the three-lobed lung is on the patient's left. Check whether this is situs inversus, "
             "or left and right are swapped in the volume or in the segmentation"
         )
+    if read.grammar.left_isomerism:
+        notes[0] = (
+            f"{LEFT_ISOMERISM}: both lungs have the pattern of the left lung, with two lobes. Check the other organs "
+            "(heterotaxy)"
+        )
     return names, notes
 
 
 def _word(rules: Grammar, state: int, seen: set[str]) -> str:
     name, keys = rules.names[state], rules.segments[state]
-    if keys in ({"LB1"}, {"LB2"}) and not {"LB1", "LB2"} <= seen:
-        return "LB1+2"
+    for side in _halved_sides(rules):
+        halves = {f"{side}B1", f"{side}B2"}
+        if len(keys) == 1 and keys <= halves and not halves <= seen:
+            return f"{side}B1+2"
     if rules.kind[state] != "set":
         return name
     lobe = rules.lobe[state]
@@ -491,14 +517,21 @@ def _word(rules: Grammar, state: int, seen: set[str]) -> str:
     return name
 
 
+def _halved_sides(rules: Grammar) -> tuple[str, ...]:
+    """Return the sides on which the segments 1 and 2 are the halves of one segment."""
+    return ("R", "L") if rules.left_isomerism else ("L",)
+
+
 def _halves(read: _Named, words: list[str | None], rule: LetterRule) -> None:
     """Replace LB1 and LB2 that arise separately beside LB3 by letters of LB1+2, unless one shares a stem with LB3."""
-    halves = [number for number, word in enumerate(words) if word in {"LB1", "LB2"}]
-    if len(halves) == 2 and not {"LB1+3", "LB2+3"} & set(words):
-        lateral = np.array([-1.0 if read.mirrored else 1.0, 1.0, 1.0])
-        order, _ = letter_order([read.frame @ read.bronchi[n].ahead * lateral for n in halves], rule)
-        for sign, which in zip(LETTERS, order, strict=False):
-            words[halves[which]] = "LB1+2" + sign
+    for side in _halved_sides(read.grammar):
+        one = f"{side}B"
+        halves = [number for number, word in enumerate(words) if word in {f"{one}1", f"{one}2"}]
+        if len(halves) == 2 and not {f"{one}1+3", f"{one}2+3"} & set(words):
+            lateral = np.array([-1.0 if read.mirrored or side == "R" else 1.0, 1.0, 1.0])
+            order, _ = letter_order([read.frame @ read.bronchi[n].ahead * lateral for n in halves], rule)
+            for sign, which in zip(LETTERS, order, strict=False):
+                words[halves[which]] = f"{one}1+2{sign}"
 
 
 def _letters(read: _Named, words: list[str | None], sure: NDArray[np.float64], rule: LetterRule) -> None:
@@ -591,7 +624,7 @@ def _variants(read: _Named, words: list[str | None], sure: NDArray[np.float64], 
         if word is None or sure[number] < SURE_ENOUGH or readings[number].again:
             continue
         above = None if parent is None else words[parent]
-        if word in _VARIANT_STEMS:
+        if word in _VARIANT_STEMS and not (read.grammar.left_isomerism and word == "RB1+2"):
             note(number, _VARIANT_STEMS[word])
         if above == "Trachea" and word in {"RB1", "RUL"}:
             note(number, "a tracheal bronchus: it arises from the trachea, above the carina")
@@ -599,7 +632,8 @@ def _variants(read: _Named, words: list[str | None], sure: NDArray[np.float64], 
             note(number, "RB1 arises separately from the right main bronchus")
         if above == "BI" and word == "RB6":
             note(number, "RB6 arises from the bronchus intermedius, at or above the middle lobe bronchus")
-        if word == "Right basal trunk" and "RB7" not in found and {"RB8", "RB10"} <= found:
+        has_rb7 = "RB7" in found or read.grammar.left_isomerism
+        if word == "Right basal trunk" and not has_rb7 and {"RB8", "RB10"} <= found:
             note(number, "RB7 was not found")
         if word in {"Right basal trunk", "Left basal trunk"}:
             side = word[0]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -26,6 +26,7 @@ from carina.argument_checks import (
     text_of,
     whole_from,
 )
+from carina.breathing import ChestDeformation
 from carina.display import as_words, one_line
 from carina.display.centreline_drawing import DRAWN_COLOUR, Way, generation_colour, ways_svg
 from carina.display.html import caption, figure, table
@@ -321,6 +322,40 @@ class AirwayTree(Tabular):
                 "tip_z_mm": "float",
             },
         )
+
+    @check_arguments(deformation=instance(ChestDeformation, "get one from carina.breathing.Breathing.at"))
+    def deformed(self, deformation: ChestDeformation) -> AirwayTree:
+        """Return the tree in the moved patient: the same branches with moved centrelines and new radii.
+
+        Parameters
+        ----------
+        deformation
+            Deformation of the chest; one that moves nothing returns this tree.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> import carina
+        >>> trunk = Branch(0, None, (), 0, "Trachea", "tracked", np.array([[0.0, 0, 0], [0, 0, -10]]), np.full(2, 8.0))
+        >>> narrow = carina.breathing.ChestDeformation(np.diag([0.5, 0.5, 0.9, 1.0]))
+        >>> moved = AirwayTree((trunk,)).deformed(narrow).root
+        >>> moved.length_mm, moved.radius.tolist()
+        (9.0, [4.0, 4.0])
+        """
+        if deformation.is_rest:
+            return self
+        moved = []
+        for branch in self.branches:
+            factor = deformation.radii_mm(branch.points, np.ones(len(branch.points)))
+            moved.append(
+                replace(
+                    branch,
+                    points=deformation.points(branch.points),
+                    radius=branch.radius * factor,
+                    wall_mm=None if branch.wall_mm is None else branch.wall_mm * factor,
+                )
+            )
+        return AirwayTree(tuple(moved), notes=self.notes)
 
     @property
     def root(self) -> Branch:
