@@ -44,9 +44,10 @@ def chest_folder(folder: Path, *, tilt: float = 0.0, only_thin: bool = False) ->
 
     values = hu
     if tilt:
-        # Each slice of a tilted scan shows the chest shifted against its own rows.
+        # Each slice of a tilted scan shows the chest shifted against its own rows; air surrounds the chest.
         shifts = np.rint(tilt * np.arange(len(hu))).astype(int)
-        values = np.stack([np.roll(one, -shift, axis=0) for one, shift in zip(hu, shifts, strict=True)])
+        padded = np.pad(hu, ((0, 0), (int(shifts.max()), 0), (0, 0)), constant_values=-1000)
+        values = np.stack([np.roll(one, -shift, axis=0) for one, shift in zip(padded, shifts, strict=True)])
     series(folder / "a", writer(2, "Thorax 1.2 lung", "B70f", 1), hu=values, uid=THIN)
     if not only_thin:
         series(folder / "b", writer(3, "Thorax 4.8 soft", "B31f", 4), hu=hu[::4], uid=THICK)
@@ -137,6 +138,7 @@ def test_directory_file_of_a_cd_opens_the_scan(server, workstation, chest_files,
         dataset.StudyID, dataset.StudyTime = "1", "101500"
         disc.add(dataset)
     disc.write(tmp_path / "cd")
+    disc._stage["t"].cleanup()  # pydicom leaves its temporary folder to the garbage collector
     open_path(workstation, server, tmp_path / "cd" / "DICOMDIR")
     check_series_list(workstation)
     workstation.picture("cd")
@@ -205,4 +207,30 @@ def test_pacs_is_searched_and_a_series_is_retrieved_and_opened(server, workstati
         # The names of the search have left the page.
         assert page.evaluate("JSON.stringify(window.__carina.state.pacs)").count("Muster") == 0
         pictures(workstation, "pacs-opened")
+
+        # The plan of a nodule is sent to the PACS where the window exports it.
+        workstation.wait_ready()
+        truth = cached_phantom(seed=4, spacing_mm=SPACING_MM, generations=5, nodule=True)
+        place = truth.volume.to_ijk(np.array(truth.truth["nodule"]["centre_lps"])) * SPACING_MM
+        page.get_by_role("button", name="Target", exact=True).first.click()
+        field = page.locator("[data-testid=coordinates] input")
+        field.fill(", ".join(f"{v:.3f}" for v in place))
+        field.press("Enter")
+        grow = page.get_by_role("button", name="Segment as nodule")
+        lesion = page.get_by_test_id("lesion")
+        grow.or_(lesion).first.wait_for()
+        if grow.count():
+            grow.click()
+        lesion.wait_for()
+        workstation.wait_while_working("window.__carina.state.plans?.targets?.some((plan) => plan.routes.length > 0)")
+        page.get_by_role("button", name="Route", exact=True).first.click()
+        page.get_by_test_id("archive").locator("summary").click()
+        before = orthanc.num_instances()
+        page.get_by_test_id("send-plan").click()
+        workstation.wait_while_working("window.__carina.state.pacs.sent !== null")
+        sent = page.get_by_test_id("sent-to-pacs")
+        assert sent.inner_text() == "3 files stored in hospital."
+        assert orthanc.num_instances() == before + 3
+        sent.scroll_into_view_if_needed()
+        pictures(workstation, "pacs-sent")
         assert workstation.faults == []

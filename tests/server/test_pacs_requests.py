@@ -10,13 +10,16 @@ from types import SimpleNamespace
 import pytest
 from dicom_writer import series
 from live_server import open_case
+from nodules import ellipsoid
 from orthanc_server import free_port, require_orthanc, running_orthanc
 
 import carina.pacs
 from carina.errors import UsageError
+from carina.export.plan_dicom_seg import write_target_seg
 from carina.server import pacs_requests
 from carina.server.pacs_requests import FOR_WINDOW, PacsRequests, text_for_window
 from carina.server.wire import messages as wire
+from carina.volume import open_volume
 
 pytest.importorskip("pynetdicom", reason="needs the extra dicom")
 pytest.importorskip("dicomweb_client", reason="needs the extra dicom")
@@ -152,6 +155,40 @@ def test_series_is_found_retrieved_and_opened_as_a_case_without_a_name_in_its_pa
     assert not any(text in line for line in logged for text in ("Muster", STUDY, SERIES))
     stored = [path for path in tmp_path.rglob("*") if path.is_file()]
     assert not any(b"Muster" in path.read_bytes() for path in stored)
+
+
+def test_files_of_a_plan_are_stored_with_the_name_of_the_patient(live, tmp_path, monkeypatch):
+    scan = series(tmp_path / "scan", dated, uid=SERIES)
+    volume = open_volume(scan)
+    target = ellipsoid([4.0, 3.0, 5.0], volume.centre_lps, step_mm=0.4)
+    asked = []
+
+    def write(_session, target_id, suffixes, folder, *, identity, job):
+        asked.append((target_id, suffixes, identity))
+        job.progress("writing", 0.5)
+        return [write_target_seg(folder / "plan.seg.dcm", target, volume=volume, ct=scan, identity=identity)]
+
+    monkeypatch.setattr(pacs_requests, "write_archive_files", write)
+    (tmp_path / "server").mkdir()
+    with running_orthanc(tmp_path / "server", DicomAlwaysAllowStore=True) as server, live.window() as window:
+        connected(window, server)
+        window.send(wire.SendPlanToPacs("hospital", "target-1", ("seg", "sr")))
+        sent = answer(window, wire.PacsSentMessage)
+        assert (sent.name, sent.num_stored, sent.refused) == ("hospital", 1, ())
+        assert asked == [("target-1", [".seg.dcm", ".sr.dcm"], "from the CT")]
+        (study,) = server.request("/studies?expand")
+        assert study["PatientMainDicomTags"]["PatientName"] == "Muster^Erika"
+
+
+def test_plan_without_a_dicom_folder_is_refused_and_nothing_is_sent(live, orthanc):
+    with live.window() as window:
+        open_case(window)
+        connected(window, orthanc)
+        before = orthanc.num_instances()
+        window.send(wire.SendPlanToPacs("hospital", "target-1", ("seg",)))
+        found = problem(window)
+        assert found.task == "send"
+        assert orthanc.num_instances() == before
 
 
 def test_other_windows_and_observers_receive_no_search_result(live, orthanc):
