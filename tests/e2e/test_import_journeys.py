@@ -223,6 +223,7 @@ def test_pacs_is_searched_and_a_series_is_retrieved_and_opened(server, workstati
             grow.click()
         lesion.wait_for()
         workstation.wait_while_working("window.__carina.state.plans?.targets?.some((plan) => plan.routes.length > 0)")
+        page.get_by_test_id("take-route").first.click()
         page.get_by_role("button", name="Route", exact=True).first.click()
         page.get_by_test_id("archive").locator("summary").click()
         before = orthanc.num_instances()
