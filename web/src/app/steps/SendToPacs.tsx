@@ -44,6 +44,7 @@ export function SendToPacs({ targetId }: { targetId: string }) {
   }
   return (
     <div className="send-to-pacs" data-testid="send-to-pacs">
+      <h3>Send to a PACS</h3>
       <div className="row">
         {FILES.map(([kind, label]) => (
           <label key={kind} className="check">
