@@ -13,7 +13,7 @@ Example::
 Every object below is loaded on first use. ``help(carina.NAME)`` documents one of them, ``help("carina.PART")`` a part.
 
 Scans (``carina.volume``, ``carina.phantom``, ``carina.deidentification``, ``carina.pacs``)
-    open_volume         Open a CT as a Volume: a DICOM folder, NIfTI, NRRD or MetaImage; demo_patient opens Carina's own
+    open_volume         Open a CT (DICOM, archive, NIfTI, NRRD, MetaImage) as a Volume; demo_patient opens Carina's own
     open_mask           Open a segmentation
     inspect_path        List the series in a path without opening them
     deidentify          Write DICOM images without identity (``carina.pacs`` retrieves images from a PACS)

@@ -48,6 +48,8 @@ class Settings:
     """Folder of the user's cases, which are never deleted automatically."""
     learners_dir: Path
     """Folder of the learners of the training's course and of their attempts."""
+    retrieved_dir: Path
+    """Folder of the series that the window retrieved from a PACS; never deleted automatically."""
     documents_dir: Path
     """Suggested folder for copies of a case."""
     state_dir: Path
@@ -99,6 +101,7 @@ def load_settings(environ: Mapping[str, str] | None = None) -> Settings:
         config_dir=dirs.user_config_path,
         cases_dir=dirs.user_data_path / "cases",
         learners_dir=dirs.user_data_path / "learners",
+        retrieved_dir=dirs.user_data_path / "retrieved",
         documents_dir=dirs.user_documents_path,
         state_dir=dirs.user_state_path,
         cache_dir=dirs.user_cache_path,

@@ -68,6 +68,7 @@ PRINTED_BY: dict[str, tuple[str, ...]] = {
     "cluster/ray_backend.py": ("cluster start",),
     "pacs/dimse_client.py": ("pacs add",),
     "pacs/reasons.py": ("pacs add",),
+    "server/pacs_requests.py": ("pacs add",),
     "plan/targets/doubts.py": ("plan",),
     "plan/targets/from_file.py": ("plan",),
     "plan/targets/from_mask.py": ("plan",),

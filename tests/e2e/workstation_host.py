@@ -122,9 +122,9 @@ class Kept:
         with self._lock:
             return any(stored is value for stored in self._values.values())
 
-    def open_volume(self, path: str, progress: Any, cancel: Any) -> Any:
-        if path not in self.shared_paths:
-            return self._real.open_volume(path, progress, cancel)
+    def open_volume(self, path: str, progress: Any, cancel: Any, **options: Any) -> Any:
+        if path not in self.shared_paths or options:
+            return self._real.open_volume(path, progress, cancel, **options)
         return self._cached(("file", path), lambda: self._real.open_volume(path, progress, cancel))
 
     def open_demo(self, name: str, progress: Any, cancel: Any) -> Any:

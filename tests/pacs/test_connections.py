@@ -101,6 +101,7 @@ def test_repr_of_a_connection_has_no_password():
         {"name": "a", "url": "http://["},
         {"name": "a", "url": 5},
         {"name": "a", "host": "x", "tls": True, "listen_port": 11112},
+        {"name": "a", "host": "x", "listen_port": 11112},
         {"name": "a", "url": "https://u:p@x.example"},
     ],
 )

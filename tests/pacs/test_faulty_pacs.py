@@ -109,7 +109,7 @@ def test_shortened_list_of_images_does_not_open_as_the_whole_series(server, tmp_
 
 def test_damaged_image_is_refused_and_the_retrieval_continues(tmp_path):
     folder = RetrievalFolder(tmp_path / "scan", SERIES)
-    receiver = _Receiver(SERIES, folder, frozenset({"1.2.3.4.1"}), Watch(None, None))
+    receiver = _Receiver("test", SERIES, folder, frozenset({"1.2.3.4.1"}), Watch(None, None))
     assert receiver.store(SimpleNamespace(dataset=Dataset())) == 0xC000
     assert not receiver.has_problem()
     receiver.raise_problem()
@@ -117,7 +117,7 @@ def test_damaged_image_is_refused_and_the_retrieval_continues(tmp_path):
 
 def test_connections_of_the_listener_end_with_the_retrieval():
     port = free_port()
-    connection = PacsConnection("test", host="127.0.0.1", listen_host="127.0.0.1", listen_port=port)
+    connection = PacsConnection("test", host="127.0.0.1", called_ae="SENDER", listen_port=port)
     sender = pynetdicom.AE("SENDER")
     sender.add_requested_context(CTImageStorage)
     with DimseClient(connection)._listener(None):

@@ -132,13 +132,13 @@ def test_untrusted_certificate_of_a_web_service_is_named(certificate):
         trusted = PacsConnection(
             "test", url=f"https://127.0.0.1:{port}", ca_file=str(certificate[0]), user="erika", password="geheim"
         )
-        assert find_studies(trusted, date="2026-11-03") == ()
+        assert len(find_studies(trusted, date="2026-11-03")) == 0
 
 
 def test_wrong_password_is_named():
     with web_server() as port:
         right = PacsConnection("test", url=f"http://127.0.0.1:{port}", user="erika", password="geheim")
-        assert find_studies(right, date="2026-11-03") == ()
+        assert len(find_studies(right, date="2026-11-03")) == 0
         wrong = PacsConnection("test", url=f"http://127.0.0.1:{port}", user="erika", password="falsch")
         with pytest.raises(PacsError, match="user and password") as found:
             find_studies(wrong, date="2026-11-03")

@@ -8,6 +8,7 @@ import "./app/styles/controls.css";
 import "./app/styles/workstation.css";
 import "./app/styles/panels.css";
 import "./app/styles/start.css";
+import "./app/styles/pacs.css";
 import "./app/styles/saved-files.css";
 import "./app/styles/training.css";
 import "./app/styles/plan-answer.css";

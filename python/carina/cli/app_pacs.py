@@ -41,7 +41,10 @@ def pacs_add(
         ),
     ] = None,
     listen_host: Annotated[
-        str, typer.Option("--listen-host", help="Address to receive images on (default: all addresses).")
+        str,
+        typer.Option(
+            "--listen-host", help="Address to receive images on (default: the one from which it reaches the PACS)."
+        ),
     ] = "",
     tls: Annotated[bool, typer.Option("--tls", help="Encrypt the connection, and check the certificate.")] = False,
     ca_file: Annotated[

@@ -17,8 +17,8 @@ TokenOption = Annotated[
 PathArgument = Annotated[
     Path,
     typer.Argument(
-        help="Scan to open (DICOM folder or file, NIfTI, NRRD or MetaImage), a case file (NAME.carina), or the id of a "
-        "stored case (see `carina case list`).",
+        help="Scan to open (DICOM folder or file, NIfTI, NRRD, MetaImage, VTI, or a zip, tar or 7z archive), a case "
+        "file (NAME.carina), or the id of a stored case (see `carina case list`).",
         show_default=False,
         callback=path_or_case,
     ),

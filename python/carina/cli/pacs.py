@@ -89,13 +89,16 @@ def search(name: str, *, patient_id: str, patient_name: str, date: str, modality
         PacsConnections().get(name), patient_id=patient_id, patient_name=patient_name, date=date, modality=modality
     )
     if as_json:
-        print_json({"studies": [study.to_json() for study in found]})
+        print_json(found.to_json())
         return 0
     for study in found:
         facts = [study.date or "no date", study.patient_name, study.patient_id, study.description]
         series = "" if study.num_series is None else f"{study.num_series} series"
         print_result(f"{', '.join(filter(None, [*facts, series]))}", f"  study {study.uid}")
-    print_note(f"{len(found)} studies found; list the series of one with --study UID")
+    if found.has_more:
+        print_note(f"the first {len(found)} of more studies; narrow the search, for example by a date")
+    else:
+        print_note(f"{len(found)} studies found; list the series of one with --study UID")
     return 0
 
 

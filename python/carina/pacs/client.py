@@ -16,7 +16,8 @@ from carina.display.progress import ProgressChoice, progress_function, shows_pro
 from carina.errors import PacsError, UsageError
 from carina.pacs.connections import PacsConnection
 from carina.pacs.dimse_client import DimseClient
-from carina.pacs.results import ConnectionCheck, PacsSeries, PacsStudy, Retrieved, Stored
+from carina.pacs.limits import MAX_SERIES_IMAGES, too_large
+from carina.pacs.results import ConnectionCheck, PacsSeries, PacsStudies, PacsStudy, Retrieved, Stored
 from carina.pacs.retrieval_folder import RetrievalFolder
 from carina.pacs.web_client import WebClient
 from carina.volume.dicom_files import files_below
@@ -25,14 +26,15 @@ from carina.volume.dicom_signature import looks_like_dicom
 from carina.volume.progress import Watch
 from carina.volume.read_limits import MAX_FILES
 
-__all__ = ["check_connection", "find_series", "find_studies", "retrieve_series", "store_files"]
+__all__ = ["check_connection", "client_of", "find_series", "find_studies", "retrieve_series", "store_files"]
 
 _DATE = re.compile(r"(\d{4})-?(\d{2})-?(\d{2})")
 _UID = re.compile(r"[0-9.]{1,64}")
 _connection = instance(PacsConnection, "create a carina.pacs.PacsConnection")
 
 
-def _client(connection: PacsConnection) -> DimseClient | WebClient:
+def client_of(connection: PacsConnection) -> DimseClient | WebClient:
+    """Return the client for the protocol of a connection."""
     return WebClient(connection) if connection.is_web else DimseClient(connection)
 
 
@@ -50,7 +52,7 @@ def check_connection(connection: PacsConnection) -> ConnectionCheck:
     ConnectionCheck
         The steps; the last one states a reason and a remedy if it failed.
     """
-    return ConnectionCheck(tuple(_client(connection).check()))
+    return ConnectionCheck(tuple(client_of(connection).check()))
 
 
 @shows_progress
@@ -68,7 +70,7 @@ def find_studies(
     limit: int = 200,
     progress: ProgressChoice = None,
     cancel: Callable[[], bool] | None = None,
-) -> tuple[PacsStudy, ...]:
+) -> PacsStudies:
     """Search the studies of a PACS by patient or date.
 
     Parameters
@@ -82,7 +84,7 @@ def find_studies(
     modality
         Modality in the study; empty for all.
     limit
-        Largest number of studies.
+        Largest number of studies; ``has_more`` of the result states whether the PACS has more.
     progress
         False, True or ``f(what, fraction)``. True or None shows a progress bar in a terminal or a notebook. The
         fraction is None where it is unknown.
@@ -91,7 +93,7 @@ def find_studies(
 
     Returns
     -------
-    tuple of PacsStudy
+    PacsStudies
         The newest study first.
 
     Raises
@@ -109,7 +111,8 @@ def find_studies(
         "StudyInstanceUID": "", "StudyDescription": "", "NumberOfStudyRelatedSeries": "",
     }  # fmt: skip
     watch = Watch(progress_function(progress), cancel)
-    found = _client(connection).find("STUDY", keys, limit=limit, watch=watch)
+    client = client_of(connection)
+    found = client.find("STUDY", keys, limit=limit + 1, watch=watch)
     studies = [
         PacsStudy(
             uid=_text(one, "StudyInstanceUID"),
@@ -120,11 +123,12 @@ def find_studies(
             modalities=_list(one, "ModalitiesInStudy"),
             num_series=_whole(one, "NumberOfStudyRelatedSeries"),
         )
-        for one in found
+        for one in found[:limit]
     ]
     # Some PACS ignore the modality.
     wanted = [study for study in studies if not modality or not study.modalities or modality in study.modalities]
-    return tuple(sorted(wanted, key=lambda study: study.date, reverse=True))
+    newest_first = tuple(sorted(wanted, key=lambda study: study.date, reverse=True))
+    return PacsStudies(newest_first, has_more=len(found) > limit or client.is_shortened)
 
 
 @check_arguments(connection=_connection, study_uid=text_of(64), cancel=function)
@@ -151,7 +155,7 @@ def find_series(
         "StudyInstanceUID": _checked_uid(study_uid), "SeriesInstanceUID": "", "Modality": "", "SeriesNumber": "",
         "SeriesDescription": "", "NumberOfSeriesRelatedInstances": "",
     }  # fmt: skip
-    found = _client(connection).find("SERIES", keys, limit=MAX_FILES, watch=Watch(None, cancel))
+    found = client_of(connection).find("SERIES", keys, limit=MAX_FILES, watch=Watch(None, cancel))
     series = [
         PacsSeries(
             uid=_text(one, "SeriesInstanceUID"),
@@ -182,7 +186,7 @@ def retrieve_series(
     """Retrieve a series into a new folder, which then opens like every scan.
 
     The folder appears only when the series is complete. An interrupted or cancelled retrieval continues, when it is
-    repeated, with the images that are missing.
+    repeated, with the images that are missing. A series may have 20,000 images, 2 GiB in one image and 8 GiB.
 
     Parameters
     ----------
@@ -201,26 +205,29 @@ def retrieve_series(
     Raises
     ------
     PacsError
-        If the PACS cannot be reached or refuses the request; ``pacs.incomplete``: some images did not arrive.
+        If the PACS cannot be reached or refuses the request; ``pacs.incomplete``: some images did not arrive;
+        ``pacs.too-large``: the series exceeds a limit, and nothing was stored.
     UsageError
         ``pacs.folder``: the folder exists.
     CancelledError
         If ``cancel()`` returned true.
     """
     watch = Watch(progress_function(progress), cancel)
-    client = _client(connection)
+    client = client_of(connection)
     keys = {
         "StudyInstanceUID": _checked_uid(study_uid), "SeriesInstanceUID": _checked_uid(series_uid),
         "SOPInstanceUID": "",
     }  # fmt: skip
     place = RetrievalFolder(Path(folder).expanduser().absolute(), series_uid)
     try:
-        found = client.find("IMAGE", keys, limit=MAX_FILES, watch=watch)
+        found = client.find("IMAGE", keys, limit=MAX_SERIES_IMAGES + 1, watch=watch)
         images = list(dict.fromkeys(uid for one in found if (uid := _text(one, "SOPInstanceUID"))))
         if not images:
             raise PacsError(
                 f"{connection.name}: the PACS has no images of this series; search again", code="pacs.no-images"
             )
+        if len(images) > MAX_SERIES_IMAGES:
+            raise too_large(connection.name, f"the series has more than {MAX_SERIES_IMAGES} images")
         _check_count(connection, study_uid, series_uid, len(images), cancel)
         resumed = sum(uid in place for uid in images)
         client.retrieve(study_uid, series_uid, images, place, watch)
@@ -232,6 +239,10 @@ def retrieve_series(
                 code="pacs.incomplete",
             )
         place.complete(images)
+    except PacsError as error:
+        if error.code == "pacs.too-large":
+            place.discard()  # the same request would fail again
+        raise
     finally:
         place.discard_if_empty()
     return Retrieved(place.target, len(images), resumed)
@@ -273,7 +284,7 @@ def store_files(
     paths = [path for one in files for path in files_below(Path(one).expanduser(), watch=watch)]
     if not paths:
         raise UsageError("store_files: no files; name DICOM files or a folder of them", code="usage.pacs")
-    client = _client(connection)
+    client = client_of(connection)
     stored, refused = client.store([(path, _sendable(path)) for path in paths], watch)
     return Stored(stored, tuple(refused))
 
@@ -285,9 +296,9 @@ def _check_count(
     stated = next(
         (one.num_images for one in find_series(connection, study_uid, cancel=cancel) if one.uid == series_uid), None
     )
-    if num_listed >= MAX_FILES or (stated is not None and stated > num_listed):
+    if stated is not None and stated > num_listed:
         raise PacsError(
-            f"{connection.name}: the PACS lists only {num_listed} of {stated or 'the'} images of this series; ask its "
+            f"{connection.name}: the PACS lists only {num_listed} of {stated} images of this series; ask its "
             "administrator to raise the limit of search results",
             code="pacs.incomplete",
         )

@@ -36,7 +36,7 @@ class PacsConnection:
     listen_port: int | None = None
     """Port on which this machine receives images (C-MOVE); None retrieves through the same connection (C-GET)."""
     listen_host: str = ""
-    """Address on which this machine receives images; empty for all addresses."""
+    """Address on which this machine receives images; empty for the address from which it reaches the PACS."""
     tls: bool = False
     url: str = ""
     """URL of a DICOMweb service; then host, port and AE titles are not used."""
@@ -88,6 +88,11 @@ class PacsConnection:
             return (
                 "the images on the second port would not be encrypted; leave out the port, so that they come through "
                 "the encrypted connection (C-GET)"
+            )
+        if self.listen_port is not None and self.called_ae == "ANY-SCP":
+            return (
+                "the second port accepts images only from the AE title of the PACS; give this AE title, or leave out "
+                "the port"
             )
         for title in (self.called_ae, self.calling_ae):
             if not 0 < len(title.strip()) <= 16 or not title.isascii() or not title.isprintable() or "\\" in title:

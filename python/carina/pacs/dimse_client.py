@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import errno
 import logging
+import socket
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -14,6 +15,7 @@ from pydicom.dataset import Dataset
 
 from carina.errors import CarinaError, PacsError
 from carina.pacs.connections import PacsConnection
+from carina.pacs.limits import MAX_ANSWER_BYTES, MAX_PDU_BYTES, limit_socket, too_large
 from carina.pacs.reasons import CONNECT_S, check_port, missing_library, offline, tls_context
 from carina.pacs.results import CheckStep
 from carina.pacs.retrieval_folder import RetrievalFolder, part10
@@ -58,6 +60,9 @@ def _library() -> Any:
 class DimseClient:
     """Requests to one PACS."""
 
+    is_shortened = False
+    """Whether the PACS stated that the last answer is incomplete; DIMSE has no such statement."""
+
     def __init__(self, connection: PacsConnection) -> None:
         self._connection = connection
         self._pynetdicom = _library()
@@ -74,7 +79,7 @@ class DimseClient:
         entity.connection_timeout = CONNECT_S
         entity.acse_timeout = 30.0
         entity.dimse_timeout = entity.network_timeout = _SLOW_S
-        entity.maximum_pdu_size = 0
+        entity.maximum_pdu_size = MAX_PDU_BYTES
         return entity
 
     @contextlib.contextmanager
@@ -192,8 +197,9 @@ class DimseClient:
                 if getattr(status, "Status", None) == 0xA801:
                     raise self._unknown_destination()
         return (
-            f"port {self._connection.listen_port} of this machine is free and the PACS knows "
-            f"{self._connection.calling_ae}; whether it can reach the port shows in the first retrieval"
+            f"the PACS knows {self._connection.calling_ae}, and port {self._connection.listen_port} of this machine is "
+            f"free at its address {listening_address(self._connection)}. C-MOVE also needs this address and port in "
+            "the settings of the PACS, and the port open in the firewall; the first retrieval shows whether they are"
         )
 
     def _unknown_destination(self) -> PacsError:
@@ -208,7 +214,16 @@ class DimseClient:
     def find(self, level: str, keys: dict[str, str], *, limit: int, watch: Watch) -> list[Dataset]:
         """Return the matches of a query (C-FIND), at most ``limit``."""
         found: list[Dataset] = []
-        with self._association([(_FIND, _PLAIN)]) as association:
+        num_bytes = 0
+
+        def count(num_more: int) -> None:
+            nonlocal num_bytes
+            num_bytes += num_more
+            if num_bytes > MAX_ANSWER_BYTES:
+                raise OSError("the answer to the search is too long")
+
+        handlers = [(self._pynetdicom.evt.EVT_CONN_OPEN, lambda event: limit_socket(event.assoc, count))]
+        with self._association([(_FIND, _PLAIN)], handlers=handlers) as association:
             for status, identifier in association.send_c_find(_query(level, **keys), _FIND):
                 watch.step("Searching the PACS")
                 code = getattr(status, "Status", None)
@@ -227,13 +242,20 @@ class DimseClient:
     # -- retrieval ---------------------------------------------------------------------------------------------------
 
     def retrieve(
-        self, study_uid: str, series_uid: str, images: Sequence[str], folder: RetrievalFolder, watch: Watch
+        self,
+        study_uid: str,
+        series_uid: str,
+        images: Sequence[str],
+        folder: RetrievalFolder,
+        watch: Watch,
+        *,
+        are_all: bool = True,
     ) -> None:
-        """Retrieve the images of a series that are not in the folder yet; an empty list requests the whole series."""
+        """Retrieve images of a series that are not in the folder yet; ``are_all``: the series has no others."""
         missing = [uid for uid in images if uid not in folder]
-        if images and not missing:
+        if not missing:
             return
-        is_whole = len(missing) == len(images)
+        is_whole = are_all and len(missing) == len(images)
         batches = [missing] if is_whole else [missing[at : at + _BATCH] for at in range(0, len(missing), _BATCH)]
         for batch in batches:
             if is_whole:
@@ -241,7 +263,7 @@ class DimseClient:
             else:
                 query = _query("IMAGE", StudyInstanceUID=study_uid, SeriesInstanceUID=series_uid)
                 query.SOPInstanceUID = batch if len(batch) > 1 else batch[0]
-            receiver = _Receiver(series_uid, folder, frozenset(images), watch)
+            receiver = _Receiver(self.name, series_uid, folder, frozenset(images), watch)
             if self._connection.listen_port is None:
                 self._get(query, receiver)
             else:
@@ -253,9 +275,20 @@ class DimseClient:
         contexts += [(kind, _PLAIN) for kind in _STORED]
         contexts += [(kind, (syntax,)) for kind in _IMAGE_CLASSES for syntax in _COMPRESSED]
         roles = [self._pynetdicom.build_role(kind, scp_role=True) for kind in _STORED]
-        handlers = [(self._pynetdicom.evt.EVT_C_STORE, receiver.store)]
+        handlers = self._handlers(receiver)
         with self._association(contexts, roles=roles, handlers=handlers) as association:
             self._run(association, association.send_c_get(query, _GET), receiver)
+
+    def _handlers(self, receiver: _Receiver | None) -> list[Any]:
+        """Return the handlers of received images; without a receiver every image is refused."""
+        if receiver is None:
+            return []
+        events = self._pynetdicom.evt
+        return [
+            (events.EVT_C_STORE, receiver.store),
+            (events.EVT_CONN_OPEN, lambda event: limit_socket(event.assoc, receiver.count)),
+            (events.EVT_REJECTED, receiver.note_rejected),
+        ]
 
     def _move(self, query: Dataset, receiver: _Receiver) -> None:
         with self._listener(receiver), self._association([(_MOVE, _PLAIN)]) as association:
@@ -272,6 +305,7 @@ class DimseClient:
             if code in _PENDING:
                 continue
             if code is None:
+                receiver.raise_problem()
                 raise PacsError(
                     f"{self.name}: the connection broke; retrieve again to continue with the missing images",
                     code="pacs.incomplete",
@@ -279,14 +313,20 @@ class DimseClient:
             if code == 0xA801:
                 raise self._unknown_destination()
             if code != 0x0000 and receiver.num_received == 0:
-                raise self._failed(code)
+                raise self._failed(code, receiver.rejected_title)
 
-    def _failed(self, code: int) -> PacsError:
+    def _failed(self, code: int, rejected_title: str) -> PacsError:
+        if rejected_title:
+            return PacsError(
+                f"{self.name}: a program with the AE title {rejected_title} tried to send images and was refused; if "
+                f"it is the PACS, save the connection with this AE title instead of {self._connection.called_ae}",
+                code="pacs.ae-title",
+            )
         if self._connection.listen_port is not None:
             return PacsError(
                 f"{self.name}: the PACS could not send images to port {self._connection.listen_port} of this machine "
-                f"({_code_text(code)}); open this port in the firewall and check it in the settings of the PACS, or "
-                "retrieve without --listen-port",
+                f"at {listening_address(self._connection)} ({_code_text(code)}); open this port in the firewall and "
+                "check address and port in the settings of the PACS, or retrieve without --listen-port",
                 code="pacs.listener",
             )
         return PacsError(
@@ -306,13 +346,16 @@ class DimseClient:
         """
         connection = self._connection
         entity = self._entity()
+        # Only the PACS may send images: other programs of the network do not know both AE titles.
         entity.require_called_aet = True
+        entity.require_calling_aet = [connection.called_ae]
         entity.add_supported_context(_ECHO)
         for kind in _STORED:
             entity.add_supported_context(kind, [*_PLAIN, *(_COMPRESSED if kind in _IMAGE_CLASSES else ())])
-        handlers = [] if receiver is None else [(self._pynetdicom.evt.EVT_C_STORE, receiver.store)]
+        handlers = self._handlers(receiver)
         try:
-            entity.start_server((connection.listen_host, connection.listen_port), block=False, evt_handlers=handlers)
+            address = listening_address(connection)
+            entity.start_server((address, connection.listen_port), block=False, evt_handlers=handlers)
         except OSError as error:
             used = error.errno == errno.EADDRINUSE
             why = "is used by another program" if used else "may not be opened"
@@ -357,7 +400,10 @@ class DimseClient:
 class _Receiver:
     """Stores the images that arrive, and remembers the first problem."""
 
-    def __init__(self, series_uid: str, folder: RetrievalFolder, images: frozenset[str], watch: Watch) -> None:
+    def __init__(
+        self, name: str, series_uid: str, folder: RetrievalFolder, images: frozenset[str], watch: Watch
+    ) -> None:
+        self._name = name
         self._series_uid = series_uid
         self._folder = folder
         self._images = images
@@ -365,9 +411,29 @@ class _Receiver:
         self._watch = replace(watch)
         self._problem: BaseException | None = None
         self.num_received = 0
+        self._num_bytes = 0
+        """Bytes that arrived since the last complete image."""
+        self.rejected_title = ""
+        """AE title of a program whose connection to the listener was refused; empty without one."""
+
+    def note_rejected(self, event: Any) -> None:
+        """Store the AE title of a program whose connection was refused."""
+        title = str(event.assoc.requestor.ae_title)
+        self.rejected_title = "".join(c for c in title if c.isprintable())[:16].strip()
+
+    def count(self, num_bytes: int) -> None:
+        """Count bytes before they are read; raise OSError, which closes the connection, if an image is too large."""
+        self._num_bytes += num_bytes
+        limit = self._folder.max_image_bytes
+        if self._num_bytes > limit:
+            self._problem = self._problem or too_large(
+                self._name, f"an image of the series has more than {limit >> 20} MiB"
+            )
+            raise OSError("the image is too large")
 
     def store(self, event: Any) -> int:
         """Store one image; the result is the status for the PACS."""
+        self._num_bytes = 0
         if self._problem is not None:
             return 0xA700
         try:
@@ -408,6 +474,27 @@ class _Receiver:
         """Raise the first problem, if there was one."""
         if self._problem is not None:
             raise self._problem
+
+
+def listening_address(connection: PacsConnection) -> str:
+    """Return the one address on which this machine receives images.
+
+    By default it is the address from which this machine reaches the PACS: loopback for a PACS on this machine.
+
+    Raises
+    ------
+    PacsError
+        ``pacs.offline`` if the host name of the PACS is unknown.
+    """
+    if connection.listen_host:
+        return connection.listen_host
+    try:
+        family, kind, _, _, place = socket.getaddrinfo(connection.host, connection.port, type=socket.SOCK_DGRAM)[0]
+        with socket.socket(family, kind) as probe:
+            probe.connect(place)  # chooses a route; a datagram socket sends nothing
+            return str(probe.getsockname()[0])
+    except OSError as error:
+        raise offline(connection, error) from None
 
 
 def _query(level: str, **keys: str) -> Dataset:

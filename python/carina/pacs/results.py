@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from carina.display import one_line
 
-__all__ = ["CheckStep", "ConnectionCheck", "PacsSeries", "PacsStudy", "Retrieved", "Stored"]
+__all__ = ["CheckStep", "ConnectionCheck", "PacsSeries", "PacsStudies", "PacsStudy", "Retrieved", "Stored"]
 
 
 @one_line
@@ -31,6 +32,39 @@ class PacsStudy:
             "uid": self.uid, "patient_name": self.patient_name, "patient_id": self.patient_id, "date": self.date,
             "description": self.description, "modalities": list(self.modalities), "num_series": self.num_series,
         }  # fmt: skip
+
+
+@one_line
+@dataclass(frozen=True, slots=True)
+class PacsStudies:
+    """Studies that a search found, the newest first: a sequence, with a field that states whether there are more.
+
+    Examples
+    --------
+    >>> found = PacsStudies((), has_more=False)
+    >>> len(found), list(found), found.has_more
+    (0, [], False)
+    """
+
+    studies: tuple[PacsStudy, ...]
+    has_more: bool
+    """Whether the PACS has further matches that are not in ``studies``; narrow the search to see them."""
+
+    def __iter__(self) -> Iterator[PacsStudy]:
+        """Iterate over the studies."""
+        return iter(self.studies)
+
+    def __len__(self) -> int:
+        """Return the number of the studies."""
+        return len(self.studies)
+
+    def __getitem__(self, index: int) -> PacsStudy:
+        """Return a study by its index."""
+        return self.studies[index]
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the studies as plain JSON types."""
+        return {"studies": [study.to_json() for study in self.studies], "has_more": self.has_more}
 
 
 @one_line

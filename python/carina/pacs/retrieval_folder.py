@@ -18,6 +18,7 @@ from pydicom.uid import PYDICOM_IMPLEMENTATION_UID, UID
 
 from carina.disk import disk_trouble, make_folder, sync_folder, write_whole
 from carina.errors import PacsError, UsageError
+from carina.pacs.limits import MAX_IMAGE_BYTES, MAX_SERIES_BYTES, too_large
 
 __all__ = ["RetrievalFolder", "part10"]
 
@@ -33,6 +34,8 @@ class RetrievalFolder:
         Folder to create when the series is complete; it must not exist.
     series_uid
         UID of the series; the hidden folder of another series is not continued.
+    max_image_bytes
+        Largest image.
 
     Raises
     ------
@@ -40,15 +43,16 @@ class RetrievalFolder:
         ``pacs.folder``: the folder exists.
     """
 
-    def __init__(self, folder: Path, series_uid: str) -> None:
+    def __init__(self, folder: Path, series_uid: str, *, max_image_bytes: int = MAX_IMAGE_BYTES) -> None:
         if os.path.lexists(folder):
             raise UsageError(f"pacs: {folder} exists; name a new folder", code="pacs.folder")
         self.target = folder
+        self.max_image_bytes = max_image_bytes
         mark = hashlib.sha256(series_uid.encode()).hexdigest()[:12]
         self._part = folder.with_name(f".{folder.name[:80]}.{mark}.incomplete")
         make_folder(self._part, what="the images", private=True)
         self._names = {path.name for path in self._part.iterdir() if path.suffix == ".dcm"}
-        self.num_resumed = len(self._names)
+        self._num_bytes = sum((self._part / name).stat().st_size for name in self._names)
 
     @staticmethod
     def _name(sop_uid: str) -> str:
@@ -67,9 +71,14 @@ class RetrievalFolder:
 
         Raises
         ------
+        PacsError
+            ``pacs.too-large`` if the series exceeds its limit of bytes, ``pacs.disk-full`` if the disk is almost full.
         DiskError
             If the disk is full or cannot be written.
         """
+        self._num_bytes += len(content)
+        if self._num_bytes > MAX_SERIES_BYTES:
+            raise too_large("PACS", f"the series has more than {MAX_SERIES_BYTES >> 30} GiB")
         if shutil.disk_usage(self._part).free < max(_MIN_FREE_BYTES, 2 * len(content)):
             raise PacsError(
                 f"storing the images: the disk of {self.target} is almost full; free some space and retrieve again",
@@ -95,10 +104,14 @@ class RetrievalFolder:
         except OSError as error:
             raise disk_trouble(error, "cannot create the folder", self.target) from None
 
+    def discard(self) -> None:
+        """Remove the hidden folder with all images."""
+        shutil.rmtree(self._part, ignore_errors=True)
+
     def discard_if_empty(self) -> None:
         """Remove the hidden folder if no image has arrived."""
         if not self._names:
-            shutil.rmtree(self._part, ignore_errors=True)
+            self.discard()
 
 
 def part10(sop_class: str, sop_uid: str, syntax: str, dataset: bytes) -> bytes:

@@ -8,7 +8,7 @@ import logging
 import re
 import ssl
 import struct
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +16,7 @@ from pydicom.dataset import Dataset
 
 from carina.errors import CarinaError, PacsError
 from carina.pacs.connections import PacsConnection
+from carina.pacs.limits import MAX_ANSWER_BYTES, too_large
 from carina.pacs.reasons import certificate_error, missing_library, offline
 from carina.pacs.results import CheckStep
 from carina.pacs.retrieval_folder import RetrievalFolder
@@ -46,8 +47,12 @@ class WebClient:
             session.auth = (connection.user, connection.password)
         if connection.ca_file:
             session.verify = connection.ca_file
-        session.mount("http://", _timed_adapter(requests))
-        session.mount("https://", _timed_adapter(requests))
+        adapter = _limited_adapter(requests, self._check_received)
+        session.mount("http://", adapter)
+        session.mount("https://", adapter)
+        self._limit_bytes, self._gets_images, self._watch = MAX_ANSWER_BYTES, False, Watch(None, None)
+        self.is_shortened = False
+        """Whether the service stated that the last answer to a search is incomplete."""
         self._client: Any = DICOMwebClient(url=connection.url.rstrip("/"), session=session)
         self._client.set_http_retry_params(retry=False)
 
@@ -55,6 +60,19 @@ class WebClient:
     def name(self) -> str:
         """Name of the connection, for messages."""
         return self._connection.name
+
+    def _check_received(self, num_bytes: int, *, is_shortened: bool) -> None:
+        """Check the number of bytes of an answer so far, and whether the user cancelled."""
+        self.is_shortened |= is_shortened
+        if self._watch.cancel is not None and self._watch.cancel():
+            self._watch.step("Retrieving the images")
+        if num_bytes > self._limit_bytes:
+            if self._gets_images:
+                raise too_large(self.name, f"an image of the series has more than {self._limit_bytes >> 20} MiB")
+            raise PacsError(
+                f"{self.name}: the answer to the search is too long; search for less, such as one patient ID",
+                code="pacs.search",
+            )
 
     @contextlib.contextmanager
     def _request(self) -> Iterator[None]:
@@ -109,6 +127,8 @@ class WebClient:
     def find(self, level: str, keys: dict[str, str], *, limit: int, watch: Watch) -> list[Dataset]:
         """Return the matches of a query (QIDO-RS), at most ``limit``."""
         watch.step("Searching the PACS")
+        self._limit_bytes, self._gets_images, self._watch = MAX_ANSWER_BYTES, False, watch
+        self.is_shortened = False
         study, series = keys.get("StudyInstanceUID", ""), keys.get("SeriesInstanceUID", "")
         filters = {
             key: _unescaped(value)
@@ -141,9 +161,17 @@ class WebClient:
         return list(found.values())
 
     def retrieve(
-        self, study_uid: str, series_uid: str, images: Sequence[str], folder: RetrievalFolder, watch: Watch
+        self,
+        study_uid: str,
+        series_uid: str,
+        images: Sequence[str],
+        folder: RetrievalFolder,
+        watch: Watch,
+        *,
+        are_all: bool = True,  # noqa: ARG002: a service sends the images one by one anyway
     ) -> None:
         """Retrieve the images of a series that are not in the folder yet (WADO-RS)."""
+        self._limit_bytes, self._gets_images, self._watch = folder.max_image_bytes, True, watch
         for index, uid in enumerate(images):
             watch.step("Retrieving the images", index / len(images))
             if uid in folder:
@@ -177,17 +205,33 @@ def _unescaped(value: str) -> str:
     return re.sub(r"[^A-Za-z0-9*?._~-]+", "*", value)
 
 
-def _timed_adapter(requests: Any) -> Any:
-    class TimedAdapter(requests.adapters.HTTPAdapter):  # type: ignore[misc]
-        """Adapter whose requests have a limit of time."""
+def _limited_adapter(requests: Any, check: Callable[..., None]) -> Any:
+    """Return an adapter whose requests have a limit of time, and which calls ``check`` while it reads an answer."""
+
+    class LimitedAdapter(requests.adapters.HTTPAdapter):  # type: ignore[misc]
+        """Adapter of the session."""
 
         def send(self, request: Any, **options: Any) -> Any:
             # Orthanc does not decode %2A; an asterisk may stand in a query as it is (RFC 3986).
             request.url = request.url.replace("%2A", "*")
             options["timeout"] = options.get("timeout") or _TIMEOUT_S
-            return super().send(request, **options)
+            response = super().send(request, **options)
+            # 299 states that the service has more results (PS3.18 8.3.4.4).
+            is_shortened = response.headers.get("Warning", "").startswith("299")
+            check(0, is_shortened=is_shortened)
+            stream = response.raw.stream
 
-    return TimedAdapter()
+            def limited(*arguments: Any, **named: Any) -> Iterator[bytes]:
+                num_bytes = 0
+                for part in stream(*arguments, **named):
+                    num_bytes += len(part)
+                    check(num_bytes, is_shortened=is_shortened)
+                    yield part
+
+            response.raw.stream = limited
+            return response
+
+    return LimitedAdapter()
 
 
 def _cause(error: BaseException, kind: type[Any]) -> Any:

@@ -28,6 +28,8 @@ from carina.server.files.uploads import Uploads
 from carina.server.frames.pacing import DEFAULT_RATE_HZ
 from carina.server.observers.page import ObserverPageServer
 from carina.server.observers.window import WatchingWindow
+from carina.server.pacs_requests import PacsRequests
+from carina.server.series_pictures import start_series_pictures, stop_series_pictures
 from carina.server.windows.broadcast_cache import SharedTexts
 from carina.server.windows.prefetch import PathPrefetcher
 from carina.server.windows.window import Window
@@ -91,6 +93,7 @@ class Hub:
         if backend is not None:
             backend.subscribe(lambda words: self.in_loop(self._on_device_given_up, words))
         self._uploads = uploads
+        self._pacs = PacsRequests(session)
         self._upload_of_job: dict[str, str] = {}
         self._mask_upload: str | None = None
         self._loop: asyncio.AbstractEventLoop | None = None
@@ -314,11 +317,15 @@ class Hub:
                 self._set_processor(message.choice)
             case wire.AskStorage():
                 window.mark("start")
+            case wire.AskSeriesPictures():
+                start_series_pictures(self.session, window.send)
+            case wire.StopSeriesPictures():
+                stop_series_pictures(self.session)
             case wire.SetWatchPage():
                 self._run_as_task(self._open_watch_page(window) if message.on else self.close_watch_page(SWITCHED_OFF))
             case wire.SendAway():
                 self._watch_page.disconnect(message.number)
-            case _ if self.devices.handle(message, window.number):
+            case _ if self._pacs.handle(message, window) or self.devices.handle(message, window.number):
                 pass
             case _:
                 raise UsageError(

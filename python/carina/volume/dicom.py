@@ -216,7 +216,11 @@ def find_series(content: FolderContent, watch: Watch) -> list[FoundSeries]:
             refusal = _with_unused_files(error, missing)
             series = replace(series, info=replace(info, refused=_UID.sub("(file name)", str(refusal))), refusal=refusal)
         found.append(replace(series, score=_score(slices, series.coverage_mm)))
-    return sorted(found, key=lambda item: (-item.score, item.info.key))
+    ordered = sorted(found, key=lambda item: (-item.score, item.info.key))
+    if len(ordered) > 1:
+        best = ordered[0]
+        ordered[0] = replace(best, info=replace(best.info, likeliest=_reason(best).strip(" ()")))
+    return ordered
 
 
 def _common_setting(slices: Sequence[SliceHeader], keyword: str) -> str:

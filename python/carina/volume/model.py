@@ -75,6 +75,8 @@ class SeriesInfo:
     """Reconstruction kernel, in lower case; empty if the slices state none or several."""
     phase: str = ""
     """Phase of breathing or of the heart, or time point; empty if the slices state none or several."""
+    likeliest: str = ""
+    """Why this series is the likeliest chest CT of its folder; empty for every other series."""
     acquired_on: str | None = field(default=None, repr=False)
     """ISO date of the scan, only for the list in the window of this user; see :attr:`VolumeSource.acquired_on`."""
 

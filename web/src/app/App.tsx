@@ -3,6 +3,7 @@ import { useApp, useStation } from "./context";
 import { Act } from "./controls";
 import { KeyCard, NoticeDialog } from "./Dialogs";
 import { Messages } from "./Messages";
+import { PacsDialog } from "./PacsDialog";
 import { StartPage } from "./StartPage";
 import { WorkstationPage } from "./WorkstationPage";
 
@@ -38,6 +39,7 @@ export function App() {
       <Messages />
       <NoticeDialog />
       <KeyCard />
+      <PacsDialog />
     </>
   );
 }

@@ -31,6 +31,7 @@ export function NoticeDialog() {
                 path can contain a patient's name.
               </li>
               <li>Copies of opened CTs with their paths and series names, until you empty the cache.</li>
+              <li>Series that you retrieve from a PACS, and the addresses of the PACS, until you delete them.</li>
               <li>Dropped files, until they have been read.</li>
             </ul>
             <p>

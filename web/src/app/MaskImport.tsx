@@ -102,7 +102,11 @@ export function DropChoice() {
   return (
     <div className="drop-choice">
       {place("mask", "Use for the airways of this scan", "a segmentation: NIfTI, NRRD, MetaImage, DICOM SEG")}
-      {place("case", "Open as another case", "a CT (a DICOM series, NIfTI, NRRD or MetaImage) or a Carina case")}
+      {place(
+        "case",
+        "Open as another case",
+        "a CT (a DICOM series, an archive, NIfTI, NRRD, MetaImage or VTI) or a Carina case",
+      )}
     </div>
   );
 }

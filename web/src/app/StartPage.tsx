@@ -64,12 +64,26 @@ function DropPlace() {
     >
       <Icon name="folder" />
       <p>
-        <strong>Drop a folder, a file or an archive (zip, tar) here</strong>
+        <strong>Drop a folder, a file or an archive (zip, tar, 7z) here</strong>
         <br />
-        <span className="quiet">a DICOM series, NIfTI, NRRD, MetaImage or a Carina case</span>
+        <span className="quiet">a DICOM series or CD, NIfTI, NRRD, MetaImage, VTI or a Carina case</span>
       </p>
       <Pickers />
+      <PacsButton />
     </div>
+  );
+}
+
+/** Render the button that opens the dialog of the PACS. */
+export function PacsButton() {
+  const station = useStation();
+  return (
+    <Act
+      label="Open from a PACS"
+      words="Search the image archive of your hospital, and open a series"
+      testId="open-pacs"
+      onPress={station.openPacs}
+    />
   );
 }
 
@@ -89,7 +103,7 @@ export function Pickers({ onFiles }: { onFiles?: (files: readonly UploadFile[]) 
         </Tip>
       </FileTrigger>
       <FileTrigger onSelect={pick}>
-        <Tip words="Choose a NIfTI, NRRD or MetaImage file, or a Carina case">
+        <Tip words="Choose a NIfTI, NRRD, MetaImage or VTI file, an archive, a DICOMDIR, or a Carina case">
           <Button className="button">Choose file</Button>
         </Tip>
       </FileTrigger>

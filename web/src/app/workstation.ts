@@ -296,6 +296,18 @@ export class Workstation implements Station {
   // ------------------------------------------------------------------ cases
 
   openPath = (path: string): void => void this.send({ type: "open_path", path });
+  /** Open the dialog that opens a series from a PACS. */
+  openPacs = (): void => {
+    this.send({ type: "ask_pacs" });
+    this.ui({ pacsOpen: true });
+  };
+
+  /** Close the dialog; its search stops, and the names of patients leave this page. */
+  closePacs = (): void => {
+    this.send({ type: "stop_pacs" });
+    this.ui({ pacsOpen: false });
+  };
+
   openDemo = (name: Demo["name"]): void => void this.send({ type: "open_demo", name });
 
   /** Write the named file of the case; open the save dialog if the case has no named file. */

@@ -59,6 +59,7 @@ const OPEN: StateMessage = {
     off: [],
     interpolated_slices: [],
     tilt_deg: null,
+    series: null,
     ct_name: null,
   },
 };

@@ -45,6 +45,7 @@ import type { LiveAnswer } from "./live-path";
 import type { ShownLayer } from "./lungs";
 import { allUnderWay, type Local, type Optimistic, shown, underWay } from "./optimistic";
 import { NO_PACE, type Pace } from "./pace";
+import { NO_PACS, type PacsState, pacsAnswered, pacsRequested } from "./pacs";
 import { opensPanel, type PanelName, panelAfter, panelOf } from "./panels";
 import type { PathCost } from "./path-search";
 import { NOT_PLAYING, type Playing } from "./playing";
@@ -144,6 +145,8 @@ export interface Ui {
   readonly awaitedScore: number | null;
   /** Whether the dialog with all cases and their disk usage is open. */
   readonly storageOpen: boolean;
+  /** Whether the dialog that opens a series from a PACS is open. */
+  readonly pacsOpen: boolean;
   /**
    * Time of the previous use, s, in the notice about a continued case that the user has closed; null if none was
    * closed.
@@ -238,6 +241,10 @@ export interface AppState {
   /** Measurements along a branch from the server's latest answer; null before the first answer. */
   readonly detail: BranchDetailMessage | null;
   readonly upload: Upload | null;
+  /** Answers about the PACS; search results only while their dialog is open. */
+  readonly pacs: PacsState;
+  /** Pictures of the series in the open CT's folder, PNG in base64, by key of the series. */
+  readonly seriesPictures: Readonly<Record<string, string>>;
   /** Input devices from the server's latest message; null before the first message. */
   readonly devices: DevicesMessage | null;
   /** The tracked pen that moves the tip; null if no pen does. */
@@ -304,6 +311,8 @@ export const INITIAL_STATE: AppState = {
   doubt: null,
   detail: null,
   upload: null,
+  pacs: NO_PACS,
+  seriesPictures: {},
   devices: null,
   pen: null,
   keyFrames: null,
@@ -345,6 +354,7 @@ export const INITIAL_STATE: AppState = {
     expertPath: null,
     awaitedScore: null,
     storageOpen: false,
+    pacsOpen: false,
     continuedReadS: null,
     list: "airways",
     panel: "list",
@@ -535,6 +545,16 @@ function receive(state: AppState, message: ServerMessage): AppState {
       return { ...state, watching: message };
     case "cluster":
       return { ...state, cluster: message };
+    case "series_picture":
+      return { ...state, seriesPictures: { ...state.seriesPictures, [message.key]: message.picture } };
+    case "pacs_connections":
+    case "pacs_test":
+    case "pacs_studies":
+    case "pacs_series":
+    case "pacs_preview":
+    case "pacs_sent":
+    case "pacs_problem":
+      return { ...state, pacs: pacsAnswered(state.pacs, message) };
   }
 }
 
@@ -602,10 +622,13 @@ function sessionChanged(state: AppState, session: StateMessage): AppState {
       ...NOTHING_HELD,
       ...FIRST_SEARCH,
       film: null,
+      pacsOpen: false,
       step: hasFindings ? "check" : "airways",
       panel: panelOf(hasFindings ? "check" : "airways"),
     };
-    next = { ...next, ...NOTHING_SHOWN, frames: {}, picks: [], local: NOTHING_LOCAL, ui };
+    next = { ...next, ...NOTHING_SHOWN, frames: {}, picks: [], local: NOTHING_LOCAL, seriesPictures: {}, ui };
+    // The series was retrieved and opened, so the search results with names are no longer needed.
+    next = { ...next, pacs: { ...NO_PACS, connections: next.pacs.connections } };
   }
   return { ...next, look: shown(next.local.look, session.look), sight: shown(next.local.sight, session.sight) };
 }
@@ -681,6 +704,16 @@ function foresee(state: AppState, message: ClientMessage, number: number): AppSt
     case "previous_fork":
     case "place":
       return state.local.pathMm === null ? state : { ...state, local: { ...state.local, pathMm: null } };
+    case "test_pacs":
+    case "search_pacs":
+    case "ask_pacs_series":
+    case "get_pacs_series":
+    case "save_pacs":
+    case "remove_pacs":
+    case "empty_pacs":
+    case "send_plan_to_pacs":
+    case "stop_pacs":
+      return { ...state, pacs: pacsRequested(state.pacs, message) };
     case "cancel":
       return { ...state, cancelledJobs: [...state.cancelledJobs, message.job_id] };
     case "accept_notice":

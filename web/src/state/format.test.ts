@@ -1,5 +1,5 @@
 import { describe, expect, it } from "vitest";
-import { carmText, finenessText, methodText, seriesText } from "./format";
+import { carmText, finenessText, methodText, seriesFacts, seriesTitle } from "./format";
 
 describe("finenessText", () => {
   it("The text states the share of the full width, and the ray step if it is longer than the finest.", () => {
@@ -33,7 +33,7 @@ describe("methodText", () => {
   });
 });
 
-describe("seriesText", () => {
+describe("seriesFacts", () => {
   const series = {
     modality: "CT",
     description: "Thorax, reconstruction kernel b41f",
@@ -45,9 +45,8 @@ describe("seriesText", () => {
     acquired_on: "2026-11-30",
   };
   it("A series is described by its slices, phase and date, without a second mention of its kernel.", () => {
-    expect(seriesText(series)).toBe(
-      "Thorax, reconstruction kernel b41f, 300 slices, every 0.70\u202fmm, 1.00\u202fmm thick, breathing 50 %, 2026-11-30",
-    );
+    expect(seriesTitle(series)).toBe("Thorax, reconstruction kernel b41f");
+    expect(seriesFacts(series)).toBe("300 slices, every 0.70\u202fmm, 1.00\u202fmm thick, breathing 50 %, 2026-11-30");
   });
   it("Facts that a series does not state are left out.", () => {
     const bare = {
@@ -58,6 +57,7 @@ describe("seriesText", () => {
       phase: "",
       acquired_on: null,
     };
-    expect(seriesText({ ...bare, num_slices: 1 })).toBe("CT, 1 slice, kernel b41f");
+    expect(seriesTitle(bare)).toBe("CT");
+    expect(seriesFacts({ ...bare, num_slices: 1 })).toBe("1 slice, kernel b41f");
   });
 });

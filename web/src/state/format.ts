@@ -141,9 +141,12 @@ interface SeriesFacts {
   readonly acquired_on: string | null;
 }
 
-/** Return a series as text: description, number, distance and thickness of its slices, kernel, phase and date. */
-export function seriesText(series: SeriesFacts): string {
-  const title = series.description || series.modality;
+/** Return the description of a series, or its modality without one. */
+export const seriesTitle = (series: SeriesFacts): string => series.description || series.modality;
+
+/** Return the facts of a series as text: number, distance and thickness of its slices, kernel, phase and date. */
+export function seriesFacts(series: SeriesFacts): string {
+  const title = seriesTitle(series);
   const facts = [
     `${series.num_slices} ${series.num_slices === 1 ? "slice" : "slices"}`,
     series.slice_distance_mm === null ? "" : `every ${mm(series.slice_distance_mm, 2)}`,
@@ -152,5 +155,5 @@ export function seriesText(series: SeriesFacts): string {
     series.phase,
     series.acquired_on ?? "",
   ];
-  return [title, ...facts.filter((fact) => fact !== "")].join(", ");
+  return facts.filter((fact) => fact !== "").join(", ");
 }

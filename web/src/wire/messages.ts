@@ -908,6 +908,16 @@ export interface SetLayersMessage {
   readonly layers: readonly ("fissures" | "lobes" | "reach" | "vessels")[];
 }
 
+/** Request a picture of each series of the open CT's folder, by a job; each answer is a `series_picture`. */
+export interface AskSeriesPicturesMessage {
+  readonly type: "ask_series_pictures";
+}
+
+/** Stop the job of `ask_series_pictures`, because the window has closed the list of series. */
+export interface StopSeriesPicturesMessage {
+  readonly type: "stop_series_pictures";
+}
+
 /** Request the present disk usage of the cases and their CTs; the answer is `start`. */
 export interface AskStorageMessage {
   readonly type: "ask_storage";
@@ -1013,6 +1023,90 @@ export interface AskEditPreviewMessage {
 export interface OpenKeyFramesMessage {
   readonly type: "open_key_frames";
   readonly upload_id: string;
+}
+
+/** Request the saved connections; the answer is `pacs_connections`. */
+export interface AskPacsMessage {
+  readonly type: "ask_pacs";
+}
+
+/** Fields of a saved connection, without its password. */
+export interface PacsFields {
+  readonly name: string;
+  readonly host: string;
+  readonly port: number;
+  readonly called_ae: string;
+  readonly calling_ae: string;
+  readonly listen_port: number | null;
+  readonly listen_host: string;
+  readonly tls: boolean;
+  readonly url: string;
+  readonly user: string;
+  readonly ca_file: string;
+}
+
+/** Save a connection; the answer is `pacs_connections`. */
+export interface SavePacsMessage {
+  readonly type: "save_pacs";
+  readonly connection: PacsFields;
+  readonly password: string | null;
+  readonly replaces?: string | null;
+}
+
+/** Delete a saved connection and its password; the answer is `pacs_connections`. */
+export interface RemovePacsMessage {
+  readonly type: "remove_pacs";
+  readonly name: string;
+}
+
+/** Test a saved connection step by step, by a job; the answer is `pacs_test`. */
+export interface TestPacsMessage {
+  readonly type: "test_pacs";
+  readonly name: string;
+}
+
+/** Search studies by patient or date, by a job; the answer is `pacs_studies`. */
+export interface SearchPacsMessage {
+  readonly type: "search_pacs";
+  readonly name: string;
+  readonly patient_name: string;
+  readonly patient_id: string;
+  readonly date: string;
+}
+
+/** Request the series of a study, by a job; the answers are `pacs_series`, then a `pacs_preview` for each. */
+export interface AskPacsSeriesMessage {
+  readonly type: "ask_pacs_series";
+  readonly name: string;
+  readonly study_uid: string;
+}
+
+/** Retrieve a series and open it as a case, by a job; an interrupted retrieval continues. */
+export interface GetPacsSeriesMessage {
+  readonly type: "get_pacs_series";
+  readonly name: string;
+  readonly study_uid: string;
+  readonly series_uid: string;
+}
+
+/** Stop test, search and previews, because the window has closed their list; a retrieval continues. */
+export interface StopPacsMessage {
+  readonly type: "stop_pacs";
+}
+
+/** Delete all series that were retrieved from a PACS from this machine; the answer is `pacs_connections`. */
+export interface EmptyPacsMessage {
+  readonly type: "empty_pacs";
+}
+
+/** Store files of a target's plan in a PACS, by a job; the answer is `pacs_sent`.
+
+    The files contain name and number of the CT's patient, so that the PACS files them with the CT. */
+export interface SendPlanToPacsMessage {
+  readonly type: "send_plan_to_pacs";
+  readonly name: string;
+  readonly target_id: string;
+  readonly files: readonly ("pdf" | "seg" | "sr")[];
 }
 
 /** A flight that was recorded into the case. */
@@ -1461,6 +1555,13 @@ export interface StartMessage {
   readonly hints_read: boolean;
 }
 
+/** Picture of a series of the open CT's folder: its middle slice. */
+export interface SeriesPictureMessage {
+  readonly type: "series_picture";
+  readonly key: string;
+  readonly picture: string;
+}
+
 /** A note to the user about the case, with a code that does not change between versions. */
 export interface CaseNote {
   readonly code: string;
@@ -1468,7 +1569,7 @@ export interface CaseNote {
   readonly badge: boolean;
 }
 
-/** Another series in the folder of the open series. */
+/** A series in the folder of the open series: another one, or the open series itself. */
 export interface OtherSeries {
   readonly key: string;
   readonly modality: string;
@@ -1480,6 +1581,7 @@ export interface OtherSeries {
   readonly kernel: string;
   readonly phase: string;
   readonly acquired_on: string | null;
+  readonly likeliest: string;
 }
 
 /** A feature that this volume does not support, and the reason. */
@@ -1507,6 +1609,7 @@ export interface CaseInfo {
   readonly number: number;
   readonly interpolated_slices: readonly number[];
   readonly tilt_deg: number | null;
+  readonly series: OtherSeries | null;
   readonly ct_name: string | null;
 }
 
@@ -1949,6 +2052,96 @@ export interface KeyFramesMessage {
   readonly frames: readonly ShownKeyFrame[];
   readonly duration_s: number;
   readonly problem: string | null;
+}
+
+/** The saved connections, and the retrieved series on this machine. */
+export interface PacsConnectionsMessage {
+  readonly type: "pacs_connections";
+  readonly connections: readonly PacsFields[];
+  readonly num_retrieved: number;
+  readonly retrieved_bytes: number;
+  readonly folder: string;
+  readonly problem: string | null;
+}
+
+/** One step of a connection test. */
+export interface PacsStep {
+  readonly name: string;
+  readonly passed: boolean;
+  readonly finding: string;
+}
+
+/** Result of a connection test. */
+export interface PacsTestMessage {
+  readonly type: "pacs_test";
+  readonly name: string;
+  readonly passed: boolean;
+  readonly steps: readonly PacsStep[];
+}
+
+/** A study of a search result, with the name of its patient for the user of this machine. */
+export interface PacsStudyEntry {
+  readonly study_uid: string;
+  readonly patient_name: string;
+  readonly patient_id: string;
+  readonly date: string;
+  readonly description: string;
+  readonly modalities: string;
+  readonly num_series: number | null;
+}
+
+/** Result of a search, the newest study first. */
+export interface PacsStudiesMessage {
+  readonly type: "pacs_studies";
+  readonly name: string;
+  readonly studies: readonly PacsStudyEntry[];
+  readonly has_more: boolean;
+}
+
+/** A series of a study in a PACS. */
+export interface PacsSeriesEntry {
+  readonly series_uid: string;
+  readonly modality: string;
+  readonly description: string;
+  readonly number: number | null;
+  readonly num_images: number | null;
+}
+
+/** Series of a study. */
+export interface PacsSeriesMessage {
+  readonly type: "pacs_series";
+  readonly name: string;
+  readonly study_uid: string;
+  readonly series: readonly PacsSeriesEntry[];
+  readonly preselected: string | null;
+  readonly reason: string;
+}
+
+/** Facts and picture of a series, from its middle image. */
+export interface PacsPreviewMessage {
+  readonly type: "pacs_preview";
+  readonly series_uid: string;
+  readonly slice_mm: number | null;
+  readonly kernel: string;
+  readonly phase: string;
+  readonly scanned_on: string | null;
+  readonly picture: string | null;
+}
+
+/** Files of a plan that the PACS has stored, and those that it refused. */
+export interface PacsSentMessage {
+  readonly type: "pacs_sent";
+  readonly name: string;
+  readonly num_stored: number;
+  readonly refused: readonly string[];
+}
+
+/** Failure of a request, with its reason and what to do. */
+export interface PacsProblemMessage {
+  readonly type: "pacs_problem";
+  readonly task: "get" | "search" | "send" | "series" | "settings" | "test";
+  readonly code: string;
+  readonly problem: string;
 }
 
 /** A task of the training. */
@@ -2400,7 +2593,7 @@ export const SETS = {
 } as const;
 
 /** Messages of a client that are not commands; `handled` does not count them. */
-export const NO_COMMANDS: readonly string[] = ["hello", "open_upload", "import_mask", "import_target", "measure_upload", "layout", "ack", "probe", "pick", "live_path", "branch_detail", "set_frame_rate", "set_processor", "set_layers", "ask_storage", "set_watch_page", "send_away", "accept_notice", "read_hints", "device_sample", "connect_device", "disconnect_device", "publish_tip", "set_phone", "watch_devices", "start_recording", "target_mark", "preview_edit", "open_key_frames"];
+export const NO_COMMANDS: readonly string[] = ["hello", "open_upload", "import_mask", "import_target", "measure_upload", "layout", "ack", "probe", "pick", "live_path", "branch_detail", "set_frame_rate", "set_processor", "set_layers", "ask_series_pictures", "stop_series_pictures", "ask_storage", "set_watch_page", "send_away", "accept_notice", "read_hints", "device_sample", "connect_device", "disconnect_device", "publish_tip", "set_phone", "watch_devices", "start_recording", "target_mark", "preview_edit", "open_key_frames", "ask_pacs", "save_pacs", "remove_pacs", "test_pacs", "search_pacs", "ask_pacs_series", "get_pacs_series", "stop_pacs", "empty_pacs", "send_plan_to_pacs"];
 
 export type ClientMessage =
   | OpenPathMessage
@@ -2515,6 +2708,8 @@ export type ClientMessage =
   | SetFrameRateMessage
   | SetProcessorMessage
   | SetLayersMessage
+  | AskSeriesPicturesMessage
+  | StopSeriesPicturesMessage
   | AskStorageMessage
   | SetWatchPageMessage
   | SendAwayMessage
@@ -2529,7 +2724,17 @@ export type ClientMessage =
   | StartRecordingMessage
   | AskTargetMarkMessage
   | AskEditPreviewMessage
-  | OpenKeyFramesMessage;
+  | OpenKeyFramesMessage
+  | AskPacsMessage
+  | SavePacsMessage
+  | RemovePacsMessage
+  | TestPacsMessage
+  | SearchPacsMessage
+  | AskPacsSeriesMessage
+  | GetPacsSeriesMessage
+  | StopPacsMessage
+  | EmptyPacsMessage
+  | SendPlanToPacsMessage;
 
 export type ServerMessage =
   | FlightsMessage
@@ -2541,6 +2746,7 @@ export type ServerMessage =
   | PlansMessage
   | ServerHelloMessage
   | StartMessage
+  | SeriesPictureMessage
   | StateMessage
   | HistoryMessage
   | RouteMessage
@@ -2559,6 +2765,13 @@ export type ServerMessage =
   | EditPreviewMessage
   | NoEvidenceMessage
   | KeyFramesMessage
+  | PacsConnectionsMessage
+  | PacsTestMessage
+  | PacsStudiesMessage
+  | PacsSeriesMessage
+  | PacsPreviewMessage
+  | PacsSentMessage
+  | PacsProblemMessage
   | TrainingMessage
   | TreeMessage
   | LivePathMessage

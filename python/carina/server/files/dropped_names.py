@@ -51,6 +51,8 @@ _SUFFIXES = frozenset(
         ".tar",
         ".tgz",
         ".tar.gz",
+        ".tar.bz2",
+        ".tar.xz",
         ".png",
         ".jpg",
         ".jpeg",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import time
+from collections.abc import Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass
 from pathlib import Path
@@ -85,28 +86,8 @@ class Reports:
         done: Future[Path] = Future()
 
         def work(job: Job) -> None:
-            def rendering(_step: str, share: float | None) -> None:
-                job.progress("rendering the pictures", SHEET_SHARE * (share or 0.0))
-
-            def writing(what: str, share: float | None) -> None:
-                job.progress(what, SHEET_SHARE + (1.0 - SHEET_SHARE) * (share or 0.0))
-
             try:
-                if path.name.endswith(PLAN_SUFFIXES):
-                    airways = materials.airways
-                    badges = badges_of(materials.volume, airways)
-                    set_result(done, export_plan(path, materials.plan, airways.tree, badges=badges))
-                    return
-                if archive is not None and not path.name.endswith(".pdf.dcm"):
-                    set_result(done, archive.export(path, materials, job))
-                    return
-                with_verdicts = _with_verdicts(self._session, materials, target_id, job)
-                plays = path.suffix == ".html" and kind == "report"
-                sheet = whole_sheet(with_verdicts, clips=plays, progress=rendering, cancel=job.cancel)
-                pages = path if archive is None else path.with_suffix("").with_suffix(".pdf")
-                made = write_report(pages, sheet, kind=kind, progress=writing, cancel=job.cancel)
-                if archive is not None:
-                    made = archive.wrap(path, made.read_bytes(), materials, job)
+                made = _write_file(self._session, materials, target_id, path, kind=kind, archive=archive, job=job)
             except CancelledError:
                 set_failure(done, CarinaError("the report was stopped", code="plan.report-stopped"))
                 raise
@@ -117,6 +98,76 @@ class Reports:
 
         self._session.jobs.start("report", "making the report", work)
         return done
+
+
+def write_archive_files(
+    session: Session,
+    target_id: str,
+    suffixes: Sequence[str],
+    folder: Path,
+    *,
+    identity: Literal["none", "from the CT"],
+    job: Job,
+) -> list[Path]:
+    """Write DICOM files of a target's plan into a folder, and return their paths.
+
+    Parameters
+    ----------
+    session
+        Session with the open case.
+    target_id
+        ID of the target.
+    suffixes
+        Some of :data:`DICOM_SUFFIXES`.
+    folder
+        Existing folder.
+    identity
+        Identity of the patient in the files.
+    job
+        Job that writes them, for progress and cancellation.
+
+    Raises
+    ------
+    CarinaError
+        If the target has no plan, the folder of the CT is not known, or the disk refuses writes.
+    """
+    materials: PlanMaterials = session.ask(PlanToTakeAway(target_id))
+    archive = _Archive(session.ask(CtFolder()), identity)
+    return [
+        _write_file(session, materials, target_id, folder / f"plan{suffix}", kind="report", archive=archive, job=job)
+        for suffix in suffixes
+    ]
+
+
+def _write_file(
+    session: Session,
+    materials: PlanMaterials,
+    target_id: str,
+    path: Path,
+    *,
+    kind: ReportKind,
+    archive: _Archive | None,
+    job: Job,
+) -> Path:
+    """Write one report or plan file by its suffix, and return its path."""
+
+    def rendering(_step: str, share: float | None) -> None:
+        job.progress("rendering the pictures", SHEET_SHARE * (share or 0.0))
+
+    def writing(what: str, share: float | None) -> None:
+        job.progress(what, SHEET_SHARE + (1.0 - SHEET_SHARE) * (share or 0.0))
+
+    if path.name.endswith(PLAN_SUFFIXES):
+        airways = materials.airways
+        return export_plan(path, materials.plan, airways.tree, badges=badges_of(materials.volume, airways))
+    if archive is not None and not path.name.endswith(".pdf.dcm"):
+        return archive.export(path, materials, job)
+    with_verdicts = _with_verdicts(session, materials, target_id, job)
+    plays = path.suffix == ".html" and kind == "report"
+    sheet = whole_sheet(with_verdicts, clips=plays, progress=rendering, cancel=job.cancel)
+    pages = path if archive is None else path.with_suffix("").with_suffix(".pdf")
+    made = write_report(pages, sheet, kind=kind, progress=writing, cancel=job.cancel)
+    return made if archive is None else archive.wrap(path, made.read_bytes(), materials, job)
 
 
 @dataclass(frozen=True, slots=True)

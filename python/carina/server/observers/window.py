@@ -129,6 +129,7 @@ class WatchingWindow(Window):
                 not_hu_reason=None,
                 quality=(),
                 other_series=(),
+                series=None,
                 # The original reason quotes DICOM tags of the file.
                 off=tuple(replace(one, why=NOT_FOR_THIS_VOLUME) for one in case.off),
                 ct_name=None,

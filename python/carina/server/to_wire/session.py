@@ -27,7 +27,7 @@ from carina.session import (
     StorageInfo,
     WallPoint,
 )
-from carina.volume import Citation, Note, badges_of
+from carina.volume import Citation, Note, SeriesInfo, badges_of
 
 
 def demos(patient_citation: Citation | None) -> tuple[wire.Demo, ...]:
@@ -131,27 +131,30 @@ def _case_message(snapshot: Snapshot, *, names_ct: bool) -> wire.CaseInfo | None
         warnings=tuple(source.warnings),
         notes=_note_messages(source.notes),
         quality=case.quality,
-        other_series=tuple(
-            wire.OtherSeries(
-                s.key,
-                s.modality,
-                s.description,
-                s.num_slices,
-                s.refused,
-                s.slice_distance_mm,
-                s.thickness_mm,
-                s.kernel,
-                s.phase,
-                s.acquired_on if names_ct else None,
-            )
-            for s in source.other_series
-        ),
+        other_series=tuple(_series_message(one, names_ct=names_ct) for one in source.other_series),
         citation=source.citation,
         off=case.off,
         number=snapshot.case_number,
         interpolated_slices=source.interpolated_slices,
         tilt_deg=source.tilt_deg,
+        series=None if source.series is None else _series_message(source.series, names_ct=names_ct),
         ct_name=source.title if names_ct else None,
+    )
+
+
+def _series_message(series: SeriesInfo, *, names_ct: bool) -> wire.OtherSeries:
+    return wire.OtherSeries(
+        series.key,
+        series.modality,
+        series.description,
+        series.num_slices,
+        series.refused,
+        series.slice_distance_mm,
+        series.thickness_mm,
+        series.kernel,
+        series.phase,
+        series.acquired_on if names_ct else None,
+        series.likeliest,
     )
 
 

@@ -93,7 +93,7 @@ class Window:
 
     def __init__(self, number: int, host: Host, *, rate_hz: float, at_machine: bool = False) -> None:
         self.number = number
-        self._at_machine = at_machine
+        self.at_machine = at_machine
         self._host = host
         self._session = host.session
         self.outbox = Outbox()
@@ -203,7 +203,7 @@ class Window:
 
     def _state(self) -> wire.State:
         return state_message(
-            self._session.snapshot(self.number), frame_rate_hz=self.pump.rate_hz, names_ct=self._at_machine
+            self._session.snapshot(self.number), frame_rate_hz=self.pump.rate_hz, names_ct=self.at_machine
         )
 
     def _history_text(self, snapshot: Snapshot) -> str | None:

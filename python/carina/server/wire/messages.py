@@ -37,6 +37,7 @@ from carina.server.wire.messages_from_server import PictureHeader
 from carina.server.wire.messages_of_devices import *  # noqa: F403
 from carina.server.wire.messages_of_edits import *  # noqa: F403
 from carina.server.wire.messages_of_key_frames import *  # noqa: F403
+from carina.server.wire.messages_of_pacs import *  # noqa: F403
 from carina.server.wire.messages_of_phone import *  # noqa: F403
 from carina.server.wire.messages_of_plan import *  # noqa: F403
 from carina.server.wire.messages_of_training import *  # noqa: F403

@@ -149,6 +149,14 @@ class SetLayers(ClientMessage, frozen=True):
     layers: Annotated[tuple[LayerName, ...], Meta(max_length=8)]
 
 
+class AskSeriesPictures(ClientMessage, frozen=True):
+    """Request a picture of each series of the open CT's folder, by a job; each answer is a ``series_picture``."""
+
+
+class StopSeriesPictures(ClientMessage, frozen=True):
+    """Stop the job of ``ask_series_pictures``, because the window has closed the list of series."""
+
+
 class AskStorage(ClientMessage, frozen=True):
     """Request the present disk usage of the cases and their CTs; the answer is ``start``."""
 

@@ -137,7 +137,7 @@ class Start(ServerMessage, frozen=True):
 
 
 class OtherSeries(FrozenValue, frozen=True):
-    """Another series in the folder of the open series."""
+    """A series in the folder of the open series: another one, or the open series itself."""
 
     key: Words
     modality: Words
@@ -151,6 +151,17 @@ class OtherSeries(FrozenValue, frozen=True):
     phase: Words = ""
     acquired_on: Words | None = None
     """ISO date of the scan; sent only to windows on the machine that runs Carina, else null."""
+    likeliest: Words = ""
+    """Why this series is the likeliest chest CT of its folder; empty for every other series."""
+
+
+class SeriesPictureMessage(ServerMessage, frozen=True):
+    """Picture of a series of the open CT's folder: its middle slice."""
+
+    key: Words
+    """Key of the series: that of the open series, or ``case.other_series[].key``."""
+    picture: Annotated[str, Meta(max_length=100_000)]
+    """PNG in base64, at most 96 pixels wide and high."""
 
 
 class CaseNote(FrozenValue, frozen=True):
@@ -187,6 +198,8 @@ class CaseInfo(FrozenValue, frozen=True):
     """Indices k of slices that were missing in the files and were interpolated."""
     tilt_deg: float | None = None
     """Gantry tilt in degrees that was corrected; null for a scan without tilt."""
+    series: OtherSeries | None = None
+    """The open series; null if the CT is not a DICOM series."""
     ct_name: Words | None = None
     """Name of the CT file or text of its series; sent only to windows on the machine that runs Carina, else null."""
 

@@ -1,11 +1,12 @@
 import { keyOf, WINDOWS } from "../../input/keymap";
 import { greyWindow } from "../../state/app-state";
 import { findingsOf } from "../../state/badges";
-import { sentence, seriesText, windowText } from "../../state/format";
+import { sentence, windowText } from "../../state/format";
 import type { CaseNote } from "../../wire/messages";
 import { useApp, useStation } from "../context";
 import { Act, Choice } from "../controls";
 import { Icon } from "../icons";
+import { SeriesList } from "../SeriesList";
 import { Threshold } from "./Threshold";
 
 const PRESETS = [
@@ -34,7 +35,9 @@ export function CheckStep() {
   const width = useApp((state) => greyWindow(state).width_hu);
   const level = useApp((state) => greyWindow(state).level_hu);
   if (info === null) return null;
-  const findings = findingsOf(badges, info.quality, info.warnings);
+  // The list of series states what this note states, with pictures.
+  const warnings = info.notes.filter(({ code }) => code !== "import.several-series").map(({ words }) => words);
+  const findings = findingsOf(badges, info.quality, warnings);
   const reason = info.not_hu_reason ?? "this volume is not in Hounsfield units";
   const isListed = findings.some((words) => words.includes(reason));
   const chosen = PRESETS.find(({ value }) => WINDOWS[value].width_hu === width && WINDOWS[value].level_hu === level);
@@ -67,6 +70,12 @@ export function CheckStep() {
           ))}
         </ul>
       )}
+      {info.other_series.length === 0 ? null : (
+        <>
+          <h3>Series in the folder</h3>
+          <SeriesList info={info} />
+        </>
+      )}
       <h3>Window / level</h3>
       {info.is_hu ? (
         <Choice<PresetName | "own">
@@ -98,30 +107,6 @@ export function CheckStep() {
           if (choice !== undefined) station.send({ type: "set_slab", thickness_mm: choice.mm, kind: choice.kind });
         }}
       />
-      {info.other_series.length === 0 ? null : (
-        <>
-          <h3>Other series in the folder</h3>
-          <ul className="quiet-list">
-            {info.other_series.map((series) => (
-              <li key={series.key}>
-                {seriesText(series)}
-                {series.refused === null ? (
-                  <>
-                    {" "}
-                    <Act
-                      label="Open"
-                      words={`Open series ${series.key} instead; the present case stays in the list`}
-                      onPress={() => station.send({ type: "open_series", key: series.key })}
-                    />
-                  </>
-                ) : (
-                  ` (refused: ${series.refused})`
-                )}
-              </li>
-            ))}
-          </ul>
-        </>
-      )}
       <Act kind="primary" label="Continue to the airways" words="Next step" onPress={() => station.toStep("airways")} />
     </>
   );

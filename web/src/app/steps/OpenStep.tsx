@@ -2,7 +2,7 @@ import { plural } from "../../state/format";
 import { useApp, useStation } from "../context";
 import { Act } from "../controls";
 import { MaskPicker } from "../MaskImport";
-import { PathForm, Pickers } from "../StartPage";
+import { PacsButton, PathForm, Pickers } from "../StartPage";
 
 /** Render the panel of the Open step. */
 export function OpenStep() {
@@ -55,6 +55,7 @@ export function OpenStep() {
       <h3>Another case</h3>
       <p className="quiet">The current case stays open until the new one has loaded.</p>
       <Pickers />
+      <PacsButton />
       <PathForm />
       <Act
         icon="folder"

@@ -21,6 +21,7 @@ import { OUTCOME_MARKS } from "./outcome-marks";
 import { ReasonsAgainst } from "./ReasonsAgainst";
 import { RoutePairs } from "./RoutePairs";
 import { RouteStations } from "./RouteStations";
+import { SendToPacs } from "./SendToPacs";
 
 /** Render the planned routes of a target, with verdicts and exports. */
 export function PlannedRoutes({ target, plan }: { target: Target; plan: TargetPlan }) {
@@ -521,6 +522,7 @@ function Archive({ target }: { target: Target }) {
           <p className="quiet">
             {named ? "The files name the patient." : "The files name nobody, but keep the CT's identifiers (UIDs)."}
           </p>
+          <SendToPacs targetId={target.target_id} />
         </>
       ) : (
         <p className="quiet" data-testid="archive-problem">

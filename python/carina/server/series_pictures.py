@@ -1,0 +1,47 @@
+"""Pictures of the series in the folder or archive of the open CT, made by a job for the window that shows the list."""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from carina.commands import CtFolder
+from carina.server.wire import messages as wire
+from carina.session import Session
+from carina.session.jobs.background_jobs import Job
+from carina.volume.progress import Watch
+
+_KIND = "series-pictures"
+
+
+def start_series_pictures(session: Session, send: Callable[[Any], None]) -> None:
+    """Start the job that sends a picture of each series.
+
+    Raises
+    ------
+    CarinaError
+        ``plan.not-dicom`` if the folder of the CT is not known.
+    """
+    path: Path = session.ask(CtFolder())
+
+    def work(job: Job) -> None:
+        from carina.volume.opening import find_in  # pydicom is slow to import
+        from carina.volume.scan_place import scan_place
+        from carina.volume.series_pictures import series_pictures
+
+        watch = Watch(job.progress, job.cancel)
+        with scan_place(path, watch) as place:
+            found = find_in(place.path, watch)
+            if isinstance(found, str):
+                return
+            for key, picture in series_pictures(found, watch):
+                send(wire.SeriesPictureMessage(key, base64.b64encode(picture).decode()))
+
+    session.jobs.start(_KIND, "making the thumbnails", work)
+
+
+def stop_series_pictures(session: Session) -> None:
+    """Stop the job, because the list of series was closed."""
+    session.jobs.cancel_kinds(_KIND)
