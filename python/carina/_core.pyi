@@ -55,8 +55,10 @@ class WallField:
         self, axis_lps: NDArray[np.float64], radius_mm: Sequence[float], excess_mm: Sequence[float]
     ) -> WallField:
         """Return a field whose lumen also contains a tube, near which the sampled wall is moved inwards."""
+    def with_ridges(self, plates_lps: NDArray[np.float64], half_mm: float) -> WallField:
+        """Return a field whose wall also contains plates (n, 3, 3): middle, and the vectors to two of its edges."""
     @property
-    def has_tube(self) -> bool: ...
+    def is_sampled(self) -> bool: ...
     def distance_mm(self, points_lps: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the distances (n,) of points (n, 3)."""
     @property
