@@ -6,7 +6,6 @@
 use carina_grid::dot;
 
 use crate::ScopeError;
-use crate::axis::sub;
 use crate::body::distance;
 
 /// Largest number of ridges of a wall field: one bit of a brick's mask for each.
@@ -28,7 +27,7 @@ pub struct Ridge {
 impl Ridge {
     /// Return the distance from a point to the surface of the plate in mm, negative inside.
     fn distance_mm(&self, p: [f64; 3]) -> f64 {
-        let mut off = sub(p, self.middle);
+        let mut off: [f64; 3] = std::array::from_fn(|a| p[a] - self.middle[a]);
         for side in self.sides {
             let share = (dot(off, side) / dot(side, side)).clamp(-1.0, 1.0);
             off = std::array::from_fn(|a| off[a] - share * side[a]);

@@ -213,7 +213,7 @@ impl WallField {
                 .map(|n| {
                     let low = std::array::from_fn(|a| f64::from(a > 0 && n >> (a - 1) & 1 == 1));
                     let high = low.map(|v: f64| 1.0 - v);
-                    carina_grid::length(crate::axis::sub(corner(high), corner(low)))
+                    crate::body::distance(corner(high), corner(low))
                 })
                 .fold(0.0, f64::max);
         let made = Ridges::new(ridges, self.brick_at.len(), |n| {
