@@ -377,9 +377,11 @@ impl Axis {
             .all(|(a, b)| {
                 let p = mix(self.nodes[a], self.nodes[b], 0.5);
                 let radius = body.radius_mm(0.5 * (a + b) as f64 * NODE_MM);
-                // The negation is written so that a NaN is no penetration, as in the largest depth.
-                entry.depth_mm(p) < 0.0
-                    || !(radius - field.distance_up_to(p, radius) > SHAFT_TOLERANCE_MM)
+                if entry.depth_mm(p) >= 0.0 {
+                    radius - field.distance_up_to(p, radius) <= SHAFT_TOLERANCE_MM
+                } else {
+                    true
+                }
             })
     }
 

@@ -67,7 +67,7 @@ impl Ridges {
             let [one, other] = ridge.sides;
             let (a, b) = (dot(one, one), dot(other, other));
             let is_finite = ridge.middle.iter().all(|v| v.is_finite()) && (a + b).is_finite();
-            if !is_finite || !(a > 0.0 && b > 0.0) || dot(one, other).abs() > 1e-6 * (a + b) {
+            if !(is_finite && a > 0.0 && b > 0.0) || dot(one, other).abs() > 1e-6 * (a + b) {
                 return refuse("a ridge is not a plate with two perpendicular sides".to_owned());
             }
             if !(ridge.half_mm > 0.0 && ridge.half_mm.is_finite()) {
