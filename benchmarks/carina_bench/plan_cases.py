@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from carina.phantom import generate_phantom
+from carina.phantom import generate_phantom, lumen_distance_at
 from carina.scopes import WallField
 from carina.track import Airways, find_airways, lumen_mesh
 from carina.volume import Volume
@@ -25,6 +25,8 @@ from carina.volume import Volume
 __all__ = ["PlanCase", "Target", "TrueTree", "found_case", "patient_cases", "phantom_case", "true_wall"]
 
 Floats = NDArray[np.float64]
+Lumen = Callable[[Floats], Floats]
+"""Function of points (n, 3), LPS mm, that returns their exact distances (n,) to a lumen in mm, negative inside."""
 Say = Callable[[str], None]
 
 RADII_MM = (4.0, 9.0)
@@ -142,6 +144,8 @@ class PlanCase:
     targets: tuple[Target, ...]
     airways: Airways | None = None
     wall: WallField | None = None
+    lumen: Lumen | None = None
+    """Exact distances to the lumen from which the CT was made, with its rounded carinas; None if they are not known."""
 
 
 def found_case(folder: Path | None, name: str, make: Callable[[], PlanCase], say: Say) -> PlanCase:
@@ -176,7 +180,8 @@ def phantom_case(seed: int, *, num: int, spacing_mm: float = 1.1, generations: i
     rng = np.random.default_rng((seed, 11))
     targets = _places(made.volume, truth, num, rng)
     volume = _with_nodules(made.volume, made.lumen_zyx != 0, targets, rng)
-    return PlanCase(f"phantom-{seed}", volume, truth, targets)
+    lumen = partial(lumen_distance_at, seed=seed, generations=generations, stenosis=seed % 2 == 0)
+    return PlanCase(f"phantom-{seed}", volume, truth, targets, lumen=lumen)
 
 
 def patient_cases(

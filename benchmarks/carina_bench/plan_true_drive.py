@@ -1,17 +1,15 @@
 """Drives of a scope in the true airways of a case, to the end of a planned route.
 
 The drive shows that the route exists in the truth, so it may be any drive: the moves that the plan states, or those of
-several searches. The wall is sampled finely along the route alone: between its samples, a sampled wall makes a narrow
-airway narrower, by up to 0.8 mm with the samples of `carina_bench.plan_cases.true_wall`. In a narrow airway the scope
-is thinner by the most that this fine wall is narrower, so that it passes where the real scope passes; its play exceeds
-the real one by no more than that.
+several searches. The wall is that of the lumen from which the CT was made, rounded carinas included (`PlanCase.lumen`).
+It is sampled along the route alone, and the true centrelines with their radii are added as an exact tube: between its
+samples, a sampled wall would make a narrow airway narrower.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
-from dataclasses import replace
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,44 +20,48 @@ from carina.plan.verdict.drive import MoveRecorder
 from carina.plan.verdict.drive_aim import aim_drive
 from carina.plan.verdict.drive_route import DriveWay
 from carina.scopes import ScopePreset, WallField
-from carina_bench.plan_cases import PlanCase, Target, TrueTree
+from carina_bench.plan_cases import Lumen, PlanCase, Target, TrueTree
 
-__all__ = ["needle_hits_from", "points_in_truth", "scope_in_truth", "strikes", "wall_along"]
+__all__ = ["needle_hits_from", "points_in_truth", "strikes", "wall_along"]
 
 Floats = NDArray[np.float64]
 
-STEP_MM, MARGIN_MM, OUTSIDE_MM = 0.2, 10.0, -6.0
+STEP_MM, MARGIN_MM, OUTSIDE_MM = 0.4, 10.0, -6.0
 """Spacing of the sampled wall, its extent beside the route, and the distance stored outside the lumen, mm."""
 BALL_MARGIN_MM = 3.0
 """Distance in mm from the true wall up to which the distance to the wall is sampled outside the lumen."""
+NEAR_WALL_MM = (-2.0, 1.5)
+"""Distances in mm from the wall of the union of balls between which samples are those of the exact lumen.
+
+Fillets move the wall of the union outwards by at most an eighth of a radius; deep inside the lumen no scope is near the
+wall.
+"""
+TUBE_MM = 4.2
+"""Largest radius in mm of the exact tube; a wider lumen is wide enough for every scope."""
 NUM_SEARCHES, EFFORT = 3, 20_000.0
 """Number of searches with different seeds, and the effort of each."""
 MIN_HITS, NUM_NEEDLES, EDGE_MM = 0.5, 400, 0.05
 """Least share of needles that hit, number of simulated needles, and spacing of the tested points of a needle, mm."""
-LACK_MM = math.sqrt(2.0) * STEP_MM
-"""Largest width in mm by which the sampled wall of a tube is too narrow: the axis is in the middle of four samples."""
-WIDE_MM = 1.0
-"""Play in mm from which the lack of the sampled wall does not matter."""
 
 
-def points_in_truth(case: PlanCase, target: Target, plan: Plan, true_mm: float) -> bool:
+def points_in_truth(case: PlanCase, target: Target, plan: Plan, place: int) -> bool:
     """Return whether a drive along the first route in the true wall ends with a pose that hits the true nodule.
 
     Parameters
     ----------
     case, target, plan
         Case with its truth, the true nodule and the plan whose first route is driven.
-    true_mm
-        True diameter of the narrowest place up to the end of the route, mm.
+    place
+        Index of the true centreline's point at the end of the route.
     """
     assert case.airways is not None and case.wall is not None
-    tree, route, reach_mm = case.airways.tree, plan.routes[0], plan.tool.reach_mm
-    wall = wall_along(case.truth, tree.route_to(route.branch_id).points_lps)
-    way = DriveWay(tree, route, wall)
-    scope = scope_in_truth(plan.scope, true_mm)
-    if scope is None:
+    tree, route, reach_mm, scope = case.airways.tree, plan.routes[0], plan.tool.reach_mm, plan.scope
+    if case.truth.narrowest_mm[place] < max(scope.tip_mm, scope.tube_mm or 0.0):
         return False
-    planned = judge_scope(tree, plan, case.wall, plan.scope).driven
+    lineage = case.truth.lineage(int(case.truth.branch[place]))
+    wall = wall_along(case.truth, tree.route_to(route.branch_id).points_lps, lumen=case.lumen, lineage=lineage)
+    way = DriveWay(tree, route, wall)
+    planned = judge_scope(tree, plan, case.wall, scope).driven
     if planned is not None and planned.arrived:
         recorder = MoveRecorder(place_at_start(way, wall, scope))
         recorder.repeat(planned.moves)
@@ -83,17 +85,7 @@ def _aimed(way: DriveWay, wall: WallField, scope: ScopePreset, target: Target, r
             yield aim_drive(way, wall, scope, driven, share).lps_from_tip
 
 
-def scope_in_truth(scope: ScopePreset, true_mm: float) -> ScopePreset | None:
-    """Return the scope that is driven in the sampled wall; None if the true airway is too narrow for the scope."""
-    own_mm = max(scope.tip_mm, scope.tube_mm or 0.0)
-    if true_mm < own_mm:
-        return None
-    if true_mm >= own_mm + WIDE_MM:
-        return scope
-    return replace(scope, tip_mm=own_mm - LACK_MM, tube_mm=None)
-
-
-def wall_along(truth: TrueTree, path: Floats) -> WallField:
+def wall_along(truth: TrueTree, path: Floats, *, lumen: Lumen | None = None, lineage: Sequence[int] = ()) -> WallField:
     """Return the true wall near a path; the lumen farther from the path counts as closed.
 
     Parameters
@@ -102,6 +94,11 @@ def wall_along(truth: TrueTree, path: Floats) -> WallField:
         True centrelines with their radii.
     path
         (n, 3) points of the path, LPS mm, less than `MARGIN_MM` apart.
+    lumen
+        Exact distances to the lumen from which the CT was made; None for the union of the true balls, whose carinas
+        are sharp.
+    lineage
+        Indices of the true branches along the path, whose narrow parts are added as an exact tube.
     """
     low, high = path.min(axis=0) - MARGIN_MM, path.max(axis=0) + MARGIN_MM
     size = np.ceil((high - low) / STEP_MM).astype(int) + 1
@@ -116,9 +113,20 @@ def wall_along(truth: TrueTree, path: Floats) -> WallField:
         ball = np.float32(radius) - np.sqrt(z[:, None, None] ** 2 + y[None, :, None] ** 2 + x[None, None, :] ** 2)
         part = inside[begin[2] : end[2], begin[1] : end[1], begin[0] : end[0]]
         np.maximum(part, ball, out=part)
+    if lumen is not None:
+        near = np.nonzero((inside > NEAR_WALL_MM[0]) & (inside < NEAR_WALL_MM[1]))
+        inside[near] = -lumen(low + STEP_MM * np.stack(near[::-1], axis=1))
     lps_from_grid = np.diag([STEP_MM, STEP_MM, STEP_MM, 1.0])
     lps_from_grid[:3, 3] = low
-    return WallField.from_distances(inside, lps_from_grid)
+    return _with_tubes(WallField.from_distances(inside, lps_from_grid), truth, lineage)
+
+
+def _with_tubes(wall: WallField, truth: TrueTree, lineage: Sequence[int]) -> WallField:
+    """Return a wall with the narrow end of a line of true branches as an exact tube."""
+    own = np.concatenate([np.flatnonzero(truth.branch == branch) for branch in lineage] or [np.array([], dtype=int)])
+    wide = np.flatnonzero(truth.radius_mm[own] > TUBE_MM)
+    narrow = own[int(wide[-1]) + 1 if len(wide) else 0 :]
+    return wall if len(narrow) < 2 else wall.with_tube(truth.points[narrow], truth.radius_mm[narrow])
 
 
 def needle_hits_from(lps_from_tip: Floats, target: Target, reach_mm: float) -> float:

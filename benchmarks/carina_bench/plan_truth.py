@@ -315,8 +315,8 @@ def judged(case: PlanCase, say: Say, *, with_holds: bool = False, with_laid: boo
         if with_holds:
             row["could"] = find_hold(case.truth, target, scope, reach_mm) is not None
         if plan.routes:
-            true_mm = float(case.truth.narrowest_mm[_true_place(case.truth, _way(case.airways.tree, plan.routes[0]))])
-            row["points"] = flight.arrives and points_in_truth(case, target, plan, true_mm)
+            place = _true_place(case.truth, _way(case.airways.tree, plan.routes[0]))
+            row["points"] = flight.arrives and points_in_truth(case, target, plan, place)
         if with_holds:
             if with_laid:
                 row["laid"] = held(case, target, scope, reach_mm, wall)

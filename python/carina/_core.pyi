@@ -59,8 +59,10 @@ class WallField:
         """Return the field of the same wall after an affine deformation of the tissue."""
     @property
     def is_deformed(self) -> bool: ...
+    def with_ridges(self, plates_lps: NDArray[np.float64], half_mm: float) -> WallField:
+        """Return a field whose wall also contains plates (n, 3, 3): middle, and the vectors to two of its edges."""
     @property
-    def has_tube(self) -> bool: ...
+    def is_sampled(self) -> bool: ...
     def distance_mm(self, points_lps: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the distances (n,) of points (n, 3)."""
     @property

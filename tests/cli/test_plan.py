@@ -147,7 +147,8 @@ def test_plan_in_thick_slices_states_the_calibrated_detection_shares_in_every_ou
     assert result.stderr.count(f"note: {badge['words']}") == 1
     assert badge["words"] in document["notes"]
     sentence = badge["words"][0].upper() + badge["words"][1:]
-    assert sentence + "." in document["report"]["uncertain"]
+    assert sentence + "." in [one["words"] for one in document["report"]["reasons"]]
+    assert not [one for one in document["report"]["uncertain"] if badge["words"][1:] in one]
     assert sentence in " ".join(output.read_text(encoding="utf-8").split())
     shares = document["calibrated_shares"]
     assert (shares["slice_mm"], shares["distance_mm"]) == (3.0, 3.0)

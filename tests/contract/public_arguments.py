@@ -380,6 +380,13 @@ GOOD: dict[str, Good] = {
     "WallField.with_tube": Good(
         lambda _: {"axis_lps": [(0.0, 0.0, 0.0), (0.0, 0.0, 1.0)], "radius_mm": [1.0, 1.0]}, _wall
     ),
+    "WallField.with_ridges": Good(
+        lambda _: {
+            "plates_lps": np.array([[(10.0, 10.0, 10.0), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0)]]),
+            "half_mm": 0.2,
+        },
+        _wall,
+    ),
     "WallField.from_distances": Good(lambda _: {"distance_mm_zyx": BALL, "lps_from_ijk": np.eye(4)}),
     "WallField.from_mesh": Good(lambda _: {"vertices_lps": CORNERS, "triangles": FACES}),
     # Pictures

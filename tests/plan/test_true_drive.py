@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-import dataclasses
+from functools import partial
 
 import numpy as np
 import pytest
 
+from cached_test_data import cached_phantom
+from carina.phantom import lumen_distance_at
 from carina.scopes import ScopeDrive, scope_preset
 from carina_bench.plan_cases import Target, TrueTree
-from carina_bench.plan_true_drive import LACK_MM, WIDE_MM, needle_hits_from, scope_in_truth, strikes, wall_along
+from carina_bench.plan_true_drive import needle_hits_from, strikes, wall_along
 
 SCOPE = scope_preset("ultrathin")
 OBLIQUE = np.array([0.48, 0.36, -0.8])
@@ -21,10 +23,35 @@ def tube(radius_mm: float) -> TrueTree:
     return TrueTree.of([(PATH, np.full(len(PATH), radius_mm), -1)])
 
 
-def test_wall_of_a_tube_is_too_narrow_by_no_more_than_the_stated_lack() -> None:
-    found = wall_along(tube(1.7), PATH).distance_mm(PATH[20:-20])
-    assert (found <= 1.7 + 0.01).all()
-    assert (found >= 1.7 - 0.5 * LACK_MM - 0.02).all()
+def test_wall_of_a_narrow_true_airway_has_its_exact_radius_on_the_axis() -> None:
+    sampled = wall_along(tube(1.7), PATH).distance_mm(PATH[20:-20])
+    assert sampled.min() < 1.6
+    exact = wall_along(tube(1.7), PATH, lineage=(0,)).distance_mm(PATH[20:-20])
+    assert exact == pytest.approx(1.7, abs=0.02)
+
+
+def test_true_wall_has_the_rounded_carina_of_the_lumen_from_which_the_ct_was_made() -> None:
+    seed = 4
+    document = cached_phantom(seed=seed, spacing_mm=1.6, generations=4).truth
+    rows = sorted(document["branches"], key=lambda row: row["generation"])
+    number = {row["id"]: n for n, row in enumerate(rows)}
+    truth = TrueTree.of(
+        [
+            (np.array(row["points"]), np.array(row["radius"]), -1 if row["parent"] is None else number[row["parent"]])
+            for row in rows
+        ]
+    )
+    path = np.array(rows[0]["points"])[-12:]
+    lumen = partial(lumen_distance_at, seed=seed, generations=4)
+    sharp, rounded = wall_along(truth, path), wall_along(truth, path, lumen=lumen)
+    around = path[-1] + np.random.default_rng(2).uniform(-9.0, 9.0, (4000, 3))
+    exact = -lumen(around)
+    near = np.abs(exact) < 0.8
+    near &= np.abs(sharp.distance_mm(around)) < 1.2
+    assert near.sum() > 200
+    # The wall of the balls differs from that of the lumen by the fillets and by the flat back of the trachea.
+    assert np.abs(sharp.distance_mm(around) - exact)[near].max() > 0.5
+    assert np.quantile(np.abs(rounded.distance_mm(around) - exact)[near], 0.98) < 0.15
 
 
 def test_lumen_far_from_the_path_counts_as_closed() -> None:
@@ -33,20 +60,11 @@ def test_lumen_far_from_the_path_counts_as_closed() -> None:
     assert wall.distance_mm(PATH[100:101])[0] < 0.0
 
 
-def test_scope_in_a_narrow_airway_is_thinner_by_the_lack_of_the_sampled_wall() -> None:
-    assert scope_in_truth(SCOPE, SCOPE.tip_mm - 0.01) is None
-    assert scope_in_truth(SCOPE, SCOPE.tip_mm + WIDE_MM) is SCOPE
-    narrow = scope_in_truth(SCOPE, SCOPE.tip_mm + 0.1)
-    assert narrow is not None
-    assert narrow.tip_mm == pytest.approx(SCOPE.tip_mm - LACK_MM)
-
-
 def test_scope_passes_an_airway_that_it_fits_and_stops_in_a_narrower_one() -> None:
-    for radius_mm, passes in ((0.5 * SCOPE.tip_mm + 0.05, True), (0.5 * SCOPE.tip_mm - 0.35, False)):
-        driven = dataclasses.replace(SCOPE, tip_mm=SCOPE.tip_mm - LACK_MM)
+    for radius_mm, passes in ((0.5 * SCOPE.tip_mm + 0.1, True), (0.5 * SCOPE.tip_mm - 0.1, False)):
         radius = np.where(np.arange(len(PATH)) < 60, 3.0, radius_mm)
-        wall = wall_along(TrueTree.of([(PATH, radius, -1)]), PATH)
-        drive = ScopeDrive(wall, driven, PATH)
+        wall = wall_along(TrueTree.of([(PATH, radius, -1)]), PATH, lineage=(0,))
+        drive = ScopeDrive(wall, SCOPE, PATH)
         drive.place(PATH, 20.0)
         for mm in range(21, 51):
             drive.drive(float(mm), 0.0, 0.0, 0.1)

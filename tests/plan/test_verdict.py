@@ -16,6 +16,7 @@ from nodules import ellipsoid
 from carina.errors import CancelledError, UsageError
 from carina.plan import Plan, Verdict, judge_pairs, judge_scope, judge_scopes, tool
 from carina.plan.movement.target_movement import TargetMovement
+from carina.plan.routes.fork_ridges import ForkRidge
 from carina.plan.routes.last_leg import LastLeg, edge_on_needle_mm
 from carina.plan.routes.main_carina import ROOT
 from carina.plan.routes.measured_lumen import MeasuredLumen
@@ -343,6 +344,27 @@ def test_drive_must_also_arrive_in_the_narrowest_lumen_within_the_error() -> Non
     assert sure.outcome == "reaches", sure.words
     assert check(unsure, "diameter").answer == "yes" and unsure.outcome == "may reach"
     assert "as narrow as the error of its diameter allows" in check(unsure, "drive").words
+
+
+def test_drive_must_also_pass_the_ridges_that_the_blur_of_the_ct_may_hide() -> None:
+    tree, field, points = tube(30.0, 80.0)
+    plan = with_lumen(plan_in(points), points, 2.0 * RADIUS_MM, 0.05)
+    (route,) = plan.routes
+    # A ridge begins at the wall in the middle of the route and extends into the lumen.
+    n = len(points) // 2
+    ridge = ForkRidge(
+        (1, 2), points[n] + [RADIUS_MM, 0.0, 0.0], np.array([-1.0, 0.0, 0.0]), np.array([0.0, 1.0, 0.0]), 2.0
+    )
+
+    def found(hidden_mm: float) -> Verdict:
+        lumen = dataclasses.replace(route.lumen, ridges=(ridge,), hidden_mm=hidden_mm)
+        one = dataclasses.replace(plan, routes=(dataclasses.replace(route, lumen=lumen),))
+        return judge_scope(tree, one, field, scope(tip_mm=2.4))
+
+    assert found(0.0).outcome == "reaches"
+    assert found(0.3).outcome == "reaches"
+    blocked = found(2.5)
+    assert blocked.outcome == "may reach" and "as the blur of the CT may hide" in check(blocked, "drive").words
 
 
 def test_scope_is_aimed_until_its_tool_surely_reaches_the_target() -> None:

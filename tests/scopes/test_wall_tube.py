@@ -64,3 +64,19 @@ def test_excess_moves_the_sampled_wall_inwards_and_leaves_the_tube_unchanged() -
 def test_excess_that_is_negative_or_has_another_length_is_rejected(excess: list[float]) -> None:
     with pytest.raises(UsageError):
         wall().with_tube(AXIS, RADIUS_MM, excess_mm=excess)
+
+
+def test_ridges_are_part_of_the_wall_also_inside_a_tube_and_have_no_bytes() -> None:
+    points = np.random.default_rng(5).uniform([-2.0, -2.0, -8.0], [2.0, 2.0, 8.0], (3000, 3))
+    field = wall().with_tube(AXIS, RADIUS_MM)
+    plate = np.array([[[0.2, 0.1, 1.0], [0.0, 1.0, 0.0], [0.0, 0.0, 2.0]]])
+    found = field.with_ridges(plate, half_mm=0.3)
+    off = np.abs(points - plate[0, 0]) - [0.0, 1.0, 2.0]
+    away = np.linalg.norm(np.maximum(off, 0.0), axis=1)
+    assert found.distance_mm(points) == pytest.approx(np.minimum(field.distance_mm(points), away - 0.3), abs=1e-9)
+    assert found.digest() != field.digest()
+    with pytest.raises(UsageError, match="tube or ridges"):
+        found.to_bytes()
+    for bad in (plate[:, [0, 1, 1]], np.repeat(plate, 33, axis=0)):
+        with pytest.raises(UsageError):
+            field.with_ridges(bad, half_mm=0.3)

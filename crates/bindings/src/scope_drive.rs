@@ -6,7 +6,7 @@
 
 use std::sync::{Arc, Mutex, PoisonError};
 
-use carina_scope::{Limit, ScopeBody, ScopeDrive, ScopeError, ScopeState, WallField};
+use carina_scope::{Limit, Ridge, ScopeBody, ScopeDrive, ScopeError, ScopeState, WallField};
 use numpy::ndarray::Array2;
 use numpy::{
     IntoPyArray, PyArray1, PyArray2, PyReadonlyArray2, PyReadonlyArray3, PyUntypedArrayMethods,
@@ -110,14 +110,43 @@ impl PyWallField {
             .map_err(IntoPy::into_py)
     }
 
+    fn with_ridges(
+        &self,
+        py: Python<'_>,
+        plates_lps: PyReadonlyArray3<'_, f64>,
+        half_mm: f64,
+    ) -> PyResult<Self> {
+        let shape = plates_lps.shape();
+        if shape[1..] != [3, 3] {
+            return Err(ScopeError::Wall {
+                reason: format!("expected ridges of shape (n, 3, 3), found {shape:?}"),
+            }
+            .into_py());
+        }
+        let rows = plates_lps.as_array();
+        let ridges: Vec<Ridge> = (0..shape[0])
+            .map(|n| {
+                let row = |k: usize| std::array::from_fn(|a| rows[[n, k, a]]);
+                Ridge {
+                    middle: row(0),
+                    sides: [row(1), row(2)],
+                    half_mm,
+                }
+            })
+            .collect();
+        py.detach(|| self.0.with_ridges(&ridges))
+            .map(|field| Self(Arc::new(field)))
+            .map_err(IntoPy::into_py)
+    }
+
     #[getter]
     fn is_deformed(&self) -> bool {
         self.0.is_deformed()
     }
 
     #[getter]
-    fn has_tube(&self) -> bool {
-        self.0.has_tube()
+    fn is_sampled(&self) -> bool {
+        self.0.is_sampled()
     }
 
     fn distance_mm<'py>(

@@ -149,6 +149,28 @@ impl Feelers {
     ///
     /// A clearance far above the limit of contact may be that of another ball, because groups are skipped.
     pub(crate) fn clearance(&self, field: &WallField, tip: &Tip, entry: &Entry) -> Clearance {
+        self.clearance_until(field, tip, entry, f64::NEG_INFINITY)
+    }
+
+    /// Return whether some ball penetrates the wall by more than `depth_mm`; the first one that does ends the test.
+    pub(crate) fn penetrates(
+        &self,
+        field: &WallField,
+        tip: &Tip,
+        entry: &Entry,
+        depth_mm: f64,
+    ) -> bool {
+        self.clearance_until(field, tip, entry, -depth_mm).mm < -depth_mm
+    }
+
+    /// Return the smallest clearance of the tip's balls, or the first one below `end_mm`.
+    fn clearance_until(
+        &self,
+        field: &WallField,
+        tip: &Tip,
+        entry: &Entry,
+        end_mm: f64,
+    ) -> Clearance {
         let mut least = Clearance::none(tip);
         // If one ball round the face and the part behind it is free of the wall, no ball of the face can touch the
         // wall.
@@ -160,9 +182,15 @@ impl Feelers {
         for group in &self.groups[skipped..] {
             let enough_mm = group.reach_mm + GUARD_MM;
             let clearance_mm = self.take(&mut least, group.first, field, tip, entry, enough_mm);
+            if least.mm < end_mm {
+                return least;
+            }
             if clearance_mm <= enough_mm {
                 for n in group.first + 1..group.end {
                     self.take(&mut least, n, field, tip, entry, enough_mm);
+                    if least.mm < end_mm {
+                        return least;
+                    }
                 }
             }
         }

@@ -8,6 +8,7 @@ use std::sync::Arc;
 use carina_grid::Affine;
 
 use crate::ScopeError;
+use crate::ridge::{Ridge, Ridges};
 use crate::tube::{BLOCKS, Bricks, Tube};
 
 /// Number of cells of a brick on each axis; a brick stores one more sample, so that a cell never needs two bricks.
@@ -71,6 +72,8 @@ pub struct WallField {
     tube: Option<Tube>,
     /// Deformation of the tissue since the samples were computed; `None` at rest.
     strain: Option<Strain>,
+    /// Plates of tissue that belong to the wall, also inside the tube; they are not sampled.
+    ridges: Option<Arc<Ridges>>,
 }
 
 /// Affine deformation of the tissue round the lumen.
@@ -180,6 +183,7 @@ impl WallField {
             step_mm: 0.5 * spacing[0].min(spacing[1]).min(spacing[2]),
             tube: None,
             strain: None,
+            ridges: None,
         })
     }
 
@@ -255,16 +259,50 @@ impl WallField {
         })
     }
 
+    /// Return a field whose wall also contains ridges; they replace earlier ones.
+    ///
+    /// A ridge is part of the wall also inside a tube ([`WallField::with_tube`]).
+    ///
+    /// # Errors
+    ///
+    /// Returns an error if there are more than [`crate::MAX_RIDGES`] ridges, if one of them is not a plate, or if the
+    /// field is deformed.
+    pub fn with_ridges(&self, ridges: &[Ridge]) -> Result<Self, ScopeError> {
+        if self.strain.is_some() {
+            return Err(ScopeError::Wall {
+                reason: "ridges are added to the wall at rest, before it is deformed".to_owned(),
+            });
+        }
+        let [nx, ny, _] = self.num_bricks;
+        let corner = |at: [f64; 3]| self.to_lps(at);
+        let half_mm = 0.5
+            * (0..4u32)
+                .map(|n| {
+                    let low = std::array::from_fn(|a| f64::from(a > 0 && n >> (a - 1) & 1 == 1));
+                    let high = low.map(|v: f64| 1.0 - v);
+                    crate::body::distance(corner(high), corner(low))
+                })
+                .fold(0.0, f64::max);
+        let made = Ridges::new(ridges, self.brick_at.len(), |n| {
+            let brick = [n % nx, n / nx % ny, n / nx / ny];
+            (corner(brick.map(|b| b as f64 + 0.5)), half_mm)
+        })?;
+        Ok(Self {
+            ridges: Some(Arc::new(made)),
+            ..self.clone()
+        })
+    }
+
     /// Return whether the field is that of a deformed tissue ([`WallField::deformed`]).
     #[must_use]
     pub const fn is_deformed(&self) -> bool {
         self.strain.is_some()
     }
 
-    /// Return whether the field contains a tube ([`WallField::with_tube`]).
+    /// Return whether all of the wall is sampled: the field contains neither a tube nor ridges.
     #[must_use]
-    pub const fn has_tube(&self) -> bool {
-        self.tube.is_some()
+    pub const fn is_sampled(&self) -> bool {
+        self.tube.is_none() && self.ridges.is_none()
     }
 
     /// Return the transform from the lattice of samples to patient space.
@@ -281,7 +319,7 @@ impl WallField {
 
     /// Call `take` with the serialised field as successive parts; equal fields give equal bytes.
     ///
-    /// The bytes of a field with a tube identify the field but cannot be decoded.
+    /// The bytes of a field with a tube or ridges identify the field but cannot be decoded.
     pub fn for_each_part(&self, mut take: impl FnMut(&[u8])) {
         for row in self.lps_from_lattice.rows() {
             for v in row {
@@ -310,6 +348,9 @@ impl WallField {
             for v in strain.rest_from_lps.rows().iter().flatten() {
                 take(&v.to_le_bytes());
             }
+        }
+        if let Some(ridges) = &self.ridges {
+            ridges.for_each_part(take);
         }
     }
 
@@ -378,6 +419,7 @@ impl WallField {
             step_mm: 0.5 * spacing[0].min(spacing[1]).min(spacing[2]),
             tube: None,
             strain: None,
+            ridges: None,
         })
     }
 
@@ -440,7 +482,7 @@ impl WallField {
         let b = cell.map(|c| c / CELLS);
         let n = (b[2] * self.num_bricks[1] + b[1]) * self.num_bricks[0] + b[0];
         let sampled = self.sampled_mm(n, cell, b, share);
-        match &self.tube {
+        let mm = match &self.tube {
             Some(tube) => {
                 let block = std::array::from_fn(|a| (cell[a] - b[a] * CELLS) * BLOCKS / CELLS);
                 let narrowed = if tube.has_excess() {
@@ -455,6 +497,10 @@ impl WallField {
                 }
             }
             None => sampled,
+        };
+        match &self.ridges {
+            Some(ridges) => ridges.at_most(n, p_lps, mm).max(-OUTSIDE_MM),
+            None => mm,
         }
     }
 
@@ -624,7 +670,7 @@ mod tests {
         let axis: Vec<[f64; 3]> = (0..25).map(|n| [0.0, 0.0, -12.0 + f64::from(n)]).collect();
         let radii: Vec<f64> = (0..25).map(|n| 1.7 + 0.01 * f64::from(n)).collect();
         let wide = field.with_tube(&axis, &radii).unwrap();
-        assert!(wide.has_tube() && !field.has_tube());
+        assert!(!wide.is_sampled() && field.is_sampled());
         for (x, y, z) in [
             (0.0, 0.0, 0.0),
             (0.9, -0.4, 3.3),
@@ -653,6 +699,34 @@ mod tests {
         for n in 0..200 {
             let p = [0.02 * f64::from(n) - 2.0, 0.7, 0.08 * f64::from(n) - 8.0];
             assert_eq!(narrow.distance_mm(p), field.distance_mm(p));
+        }
+    }
+
+    #[test]
+    fn ridges_limit_the_distance_everywhere_near_them_also_inside_a_tube() {
+        let axis = [[0.0, 0.0, -9.0], [0.0, 0.0, 9.0]];
+        let field = tube(1.5).with_tube(&axis, &[3.0, 3.0]).unwrap();
+        let ridge = Ridge {
+            middle: [0.4, 0.3, 1.0],
+            sides: [[0.0, 1.5, 0.0], [0.0, 0.0, 2.0]],
+            half_mm: 0.2,
+        };
+        let with = field.with_ridges(&[ridge]).unwrap();
+        assert!(!with.is_sampled() && bytes_of(&with) != bytes_of(&field));
+        for n in 0..2000 {
+            let at = f64::from(n);
+            let p = [
+                3.0 * libm::sin(at),
+                3.0 * libm::cos(1.7 * at),
+                8.0 * libm::sin(0.61 * at),
+            ];
+            let off = [
+                (p[0] - 0.4).abs(),
+                ((p[1] - 0.3).abs() - 1.5).max(0.0),
+                ((p[2] - 1.0).abs() - 2.0).max(0.0),
+            ];
+            let truth = field.distance_mm(p).min(length(off) - 0.2);
+            assert!((with.distance_mm(p) - truth).abs() < 1e-9, "{p:?}");
         }
     }
 

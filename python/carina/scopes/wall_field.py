@@ -207,6 +207,31 @@ class WallField:
         """
         return self if deformation.is_rest else WallField(self.core.deformed(deformation.lps_from_rest))
 
+    @check_arguments(
+        plates_lps=array_of(None, 3, 3, what="plates (n, 3, 3): middle, and the vectors to two of its edges"),
+        half_mm=number_from(0.01, 4.0, unit="mm"),
+    )
+    def with_ridges(self, plates_lps: ArrayLike, *, half_mm: float) -> WallField:
+        """Return a field whose wall also contains plates of tissue; they replace those of an earlier call.
+
+        A plate is a ridge between two branches that the CT does not show. It belongs to the wall also inside a tube.
+
+        Parameters
+        ----------
+        plates_lps
+            (n, 3, 3) plates, 32 at most: the middle of each, LPS mm, and the two perpendicular vectors from the middle
+            to its edges, mm.
+        half_mm
+            Half of the thickness of the plates, mm.
+
+        Raises
+        ------
+        UsageError
+            If there are too many plates, the sides of one are not perpendicular, or the field is deformed (code ``scope.wall``).
+        """
+        plates = np.ascontiguousarray(np.asarray(plates_lps, dtype=np.float64))
+        return WallField(self.core.with_ridges(plates, float(half_mm)))
+
     def to_bytes(self) -> bytes:
         """Return grid and samples as bytes (a copy), for compiled modules of other packages.
 
@@ -215,10 +240,12 @@ class WallField:
         Raises
         ------
         UsageError
-            If the field has a tube or is deformed (code ``scope.wall``).
+            If the field has a tube or ridges, or is deformed (code ``scope.wall``).
         """
-        if self.core.has_tube:
-            raise UsageError("to_bytes: a wall with a tube has no bytes; use the wall without it", code="scope.wall")
+        if not self.core.is_sampled:
+            raise UsageError(
+                "to_bytes: a wall with a tube or ridges has no bytes; use the wall without them", code="scope.wall"
+            )
         if self.core.is_deformed:
             raise UsageError("to_bytes: a deformed wall has no bytes; use the wall at rest", code="scope.wall")
         return self.core.to_bytes()

@@ -177,6 +177,11 @@ class PlanSheet:
         """Everything against the plan, in the order in which every output lists it."""
         return reasons_against(self.plan, route=self.route, verdicts=self.verdicts, turns=self.turns)
 
+    def _further_uncertain(self) -> list[str]:
+        """Return the uncertainties that are neither notes of the plan nor reasons against it, for JSON."""
+        known = [words.rstrip(".").casefold() for words in (*self.plan.notes, *(one.words for one in self.reasons))]
+        return [words for words in self.uncertain if words.rstrip(".").casefold() not in known]
+
     def to_json(self) -> dict[str, Any]:
         """Return plain JSON types: the plan as ``carina plan`` writes it, and the other contents under ``report``."""
         return self.plan.to_json() | {
@@ -191,7 +196,7 @@ class PlanSheet:
                 "place": self.place.to_json(),
                 "turn_pictures": [one.words for one in self.turn_pictures],
                 "reasons": [reason.to_json() for reason in self.reasons],
-                "uncertain": list(self.uncertain),
+                "uncertain": self._further_uncertain(),
                 "by_hand": list(self.by_hand),
                 "notes": list(self.notes),
                 "patient": self.patient,

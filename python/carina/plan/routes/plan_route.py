@@ -31,6 +31,7 @@ from carina.plan.lungs.tissue_near_needle import surroundings
 from carina.plan.movement.target_movement import TargetMovement
 from carina.plan.routes.attainable_directions import StandingPlace, TipDirections
 from carina.plan.routes.ct_notes import ct_notes
+from carina.plan.routes.fork_ridges import fork_ridges
 from carina.plan.routes.last_leg import LastLeg, NeedleScene, leg_as_aimed, where_it_may_have_moved, with_errors
 from carina.plan.routes.main_carina import DistanceOrigin, distance_origin
 from carina.plan.routes.measured_lumen import MeasuredLumen, measured_lumen
@@ -533,7 +534,13 @@ def draft_plan(
                 openings=openings_of_route(
                     *at, scope=preset, wall=wall, measures=measures, spacing_mm=spacing_mm, origin=start
                 ),
-                lumen=measured_lumen(lineage, wall, measures),
+                lumen=measured_lumen(
+                    lineage,
+                    wall,
+                    measures,
+                    ridges=fork_ridges(lineage, airways.tree.branches, wall),
+                    spacing_mm=spacing_mm,
+                ),
             )
 
         kept = tuple(with_figures(route) for route in kept)

@@ -82,6 +82,7 @@ SHALLOW = 0.99 * POINTS
 """Factor of the share of needles that hit if the tool may be too short, so that the product is below `POINTS`."""
 IF_IT_FITS = "if it fits: "
 NOT_NARROW = "no such drive was found in an airway as narrow as the error of its diameter allows"
+NOT_RIDGED = "no such drive was found if the ridges between the branches are as long as the blur of the CT may hide"
 MECHANICS = "the scope's mechanics in the airways' wall; rigid tip and bending section are common knowledge (k)"
 
 
@@ -339,8 +340,9 @@ class RouteJudge:
             aimed = shorter if shorter.share >= min(aimed.share, ENOUGH) else aimed
         words = f"arrives at the end of the route by {len(route.moves)} moves"
         arrives = Check("drive", "yes", 1.0, words, MECHANICS)
-        if not is_substitute and aimed.share >= POINTS and not self._points_if_narrow(scope, aimed.driven):
-            arrives = Check("drive", "perhaps", UNFOUND, f"{words}; {NOT_NARROW}", MECHANICS)
+        unsure = None if is_substitute or aimed.share < POINTS else self._unsure_lumen(scope, aimed.driven)
+        if unsure is not None:
+            arrives = Check("drive", "perhaps", UNFOUND, f"{words}; {unsure}", MECHANICS)
         tip = aimed.lps_from_tip
         share = self._hit_share(tip[:3, 3], tip[:3, 2])
         answer: Answer = "yes" if aimed.share >= POINTS else "perhaps" if share >= BARELY else "no"
@@ -371,17 +373,30 @@ class RouteJudge:
             )
         return SimulatedDrive(aimed.driven, (arrives, pointing), bend, aimed.lps_from_tip, longer, withdrawn_mm)
 
-    def _points_if_narrow(self, scope: ScopePreset, driven: DrivenRoute) -> bool:
-        """Return whether a drive points at the target also in the narrowest lumen within the errors.
+    def _unsure_lumen(self, scope: ScopePreset, driven: DrivenRoute) -> str | None:
+        """Return the error of the lumen with which no drive points at the target, as text; None if there is none.
 
-        True if the lumen was not measured, because the drive was then simulated in the segmented lumen.
+        The errors are those of the diameters and of the ridges between branches. Both are tried together first, because
+        a drive that points in this lumen needs no other; that both occur is too unlikely to be required. None also if
+        the lumen was not measured, because the drive was then simulated in the segmented lumen.
         """
         lumen = self._route.lumen
         if lumen is None or not self._errors:
-            return True
-        wall = lumen.narrowest(self._wall, error_share=ERROR_SHARE)
-        if wall is self._drive_wall:
-            return True
+            return None
+        narrow = lumen.narrowest(self._wall, error_share=ERROR_SHARE)
+        both = lumen.with_longer_ridges(narrow)
+        if both is self._drive_wall or self._points_in(both, scope, driven):
+            return None
+        if both is narrow:
+            return NOT_NARROW
+        if narrow is self._drive_wall:
+            return NOT_RIDGED
+        if not self._points_in(narrow, scope, driven):
+            return NOT_NARROW
+        return None if self._points_in(lumen.with_longer_ridges(self._drive_wall), scope, driven) else NOT_RIDGED
+
+    def _points_in(self, wall: WallField, scope: ScopePreset, driven: DrivenRoute) -> bool:
+        """Return whether the moves of a drive, or another drive, point at the target in another lumen."""
         self.stop_if_cancelled()
         way = self._way_in(self._tree, self._route, wall)
         try:
