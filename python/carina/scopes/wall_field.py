@@ -227,7 +227,8 @@ class WallField:
         Raises
         ------
         UsageError
-            If there are too many plates, the sides of one are not perpendicular, or the field is deformed (code ``scope.wall``).
+            If there are too many plates, the sides of one are not perpendicular, or the field is deformed (code
+            ``scope.wall``).
         """
         plates = np.ascontiguousarray(np.asarray(plates_lps, dtype=np.float64))
         return WallField(self.core.with_ridges(plates, float(half_mm)))
