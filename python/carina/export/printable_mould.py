@@ -30,8 +30,7 @@ from carina.export.printable_phantom import (
     near_branches,
     with_dots,
 )
-from carina.export.sampled_solid import largest_piece, solid_mesh
-from carina.scopes import WallField
+from carina.export.sampled_solid import solid_mesh
 from carina.track import Airways, AirwayTree, Branch
 from carina.track.surface.mesh import Mesh
 from carina.volume import Volume
@@ -169,19 +168,18 @@ def printable_mould(
     x, _, z = (float(one) for one in box[1] - box[0])
     for name, y in (("front", parting.heights.max() - box[0][1]), ("back", box[1][1] - parting.heights.min())):
         check_size(f"{name} half of the mould", (x, float(y), z), build_mm)
-    dots, written = np.empty((0, 3)), ()
+    dots: Points = np.empty((0, 3))
+    written: tuple[str, ...] = ()
     if names:
         dots, written, _ = name_dots(airways, lumen.field, wall_mm, branches=frozenset(chosen))
     cut = EndCut.of(tree.root, airways, lumen, at_start=True, wall_mm=wall_mm)
-    shapes = _Shapes(lumen.field, wall_mm, cut, tuple(rods), dots, parting, box)
+    shapes = _Shapes(lumen, wall_mm, cut, tuple(rods), dots, parting, box)
     near = near_branches(airways, wall_mm + DOT_MM + 1.5)
     meshes = []
     for part in MOULD_PARTS:
         reach = HANDLE_MM + 3.0 if part == "core" else 1.0
-        mesh = largest_piece(
-            solid_mesh(_Part(shapes, part), box[0] - reach, box[1] + reach, near, what=f"computing the {part}",
-                       report=report, is_large=True)
-        )  # fmt: skip
+        low, high, what = box[0] - reach, box[1] + reach, f"computing the {part}"
+        mesh = solid_mesh(_Part(shapes, part), low, high, near, what=what, report=report, is_large=True)
         size = tuple(float(v) for v in np.ptp(mesh.vertices_lps, axis=0))
         check_size("core" if part == "core" else f"{part} half of the mould", size, build_mm)
         meshes.append(mesh)
@@ -377,7 +375,7 @@ class _Parting:
 class _Shapes:
     """Shapes of which the parts consist."""
 
-    field: WallField
+    lumen: PrintedLumen
     wall_mm: float
     cut: EndCut
     rods: tuple[_Rod, ...]
@@ -439,11 +437,12 @@ class _Part:
         """Return how deep points (n, m, 3) are inside the part, (n, m) mm; negative outside."""
         shapes = self.shapes
         points = groups.reshape(-1, 3)
-        away = shapes.field.distance_mm(points)
+        away = shapes.lumen.field.distance_mm(points)
         # Beyond the stored distances a point is far, so that blocks there need no samples.
         away = np.where(away < -2.45, -FAR_MM, away)
         if self.name == "core":
-            return np.maximum(away, shapes.rods_mm(points, 0.0)).reshape(groups.shape[:2])
+            core: Floats = np.maximum(away, shapes.rods_mm(points, 0.0))
+            return core.reshape(groups.shape[:2])
         cast = (away + shapes.wall_mm).reshape(groups.shape[:2])
         with_dots(cast, away.reshape(groups.shape[:2]), groups, shapes.dots_lps)
         hollow = np.minimum(cast.reshape(-1), -shapes.cut.inside_mm(points))

@@ -20,7 +20,7 @@ from carina.display import one_line
 from carina.display.progress import ProgressChoice, progress_function, shows_progress
 from carina.errors import UsageError
 from carina.export.embossed_names import DOT_MM, name_dots
-from carina.export.sampled_solid import largest_piece, solid_mesh
+from carina.export.sampled_solid import solid_mesh
 from carina.scopes import WallField
 from carina.track import Airways, AirwayTree, Branch, wall_field
 from carina.track.surface.mesh import Mesh
@@ -145,8 +145,8 @@ def printable_phantom(
     cuts += opened
     dots, written, left_out = name_dots(airways, field, wall_mm) if names else (np.empty((0, 3)), (), ())
     solid = _Wall(field, wall_mm, tuple(cuts), dots)
-    mesh = largest_piece(solid_mesh(solid, low, high, near_branches(airways, wall_mm + DOT_MM + 1.5),
-                                    what="computing the wall", report=report))  # fmt: skip
+    near = near_branches(airways, wall_mm + DOT_MM + 1.5)
+    mesh = solid_mesh(solid, low, high, near, what="computing the wall", report=report)
     size = np.ptp(mesh.vertices_lps, axis=0)
     extent = (float(size[0]), float(size[1]), float(size[2]))
     check_size("phantom", extent, build_mm)
@@ -170,7 +170,7 @@ class PrintedLumen:
         low, high = extent_of(airways, 0.0)
         lumen = _Lumen(wall_field(volume, airways, progress=report), airways.tree, branches)
         near = near_branches(airways, 1.5)
-        mesh = largest_piece(solid_mesh(lumen, low, high, near, what="computing the lumen", report=report))
+        mesh = solid_mesh(lumen, low, high, near, what="computing the lumen", report=report)
         return cls(mesh, WallField.from_mesh(mesh.vertices_lps, mesh.triangles, spacing_mm=FIELD_MM, progress=report))
 
 

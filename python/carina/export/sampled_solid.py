@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from carina.errors import NoResultError
 from carina.track.surface.mesh import Mesh, mask_mesh
+from carina.volume.mask_parts import numbered_parts
 
 Points = NDArray[np.float64]
 
@@ -42,7 +43,7 @@ def solid_mesh(
     report: Any,
     is_large: bool = False,
 ) -> Mesh:
-    """Return the closed mesh of a solid.
+    """Return the closed mesh of the largest piece of a solid.
 
     Parameters
     ----------
@@ -97,6 +98,11 @@ def solid_mesh(
             inside[k : k + BLOCK, j : j + BLOCK, i : i + BLOCK] = one
     if not inside.any():
         raise NoResultError("the airway lumen is empty", code="print.no-lumen")
+    pieces = numbered_parts(inside)
+    # The number 0 stands for the samples outside.
+    sizes = np.bincount(pieces.reshape(-1))
+    sizes[0] = 0
+    inside = pieces == int(np.argmax(sizes))
     matrix = np.diag([SAMPLE_MM] * 3 + [1.0])
     matrix[:3, 3] = low
     rough = mask_mesh(inside, matrix)
@@ -146,35 +152,3 @@ def _at_the_surface(rough: Mesh, solid: Solid, low: Points) -> Points:
         known = rest[count[rest] > 0]
         moved[known] = total[known] / count[known, None]
     return moved
-
-
-def largest_piece(mesh: Mesh) -> Mesh:
-    """Return the largest solid of a mesh with its cavities; solids that no airway joins are left out."""
-    labels = np.arange(len(mesh.vertices_lps))
-    while True:
-        least = labels[mesh.triangles].min(axis=1)
-        before = labels.copy()
-        for corner in range(3):
-            np.minimum.at(labels, mesh.triangles[:, corner], least)
-        labels = labels[labels]
-        if np.array_equal(labels, before):
-            break
-    owner = labels[mesh.triangles[:, 0]]
-    corners = (mesh.vertices_lps - mesh.vertices_lps.mean(axis=0))[mesh.triangles]
-    parts = np.einsum("na,na->n", corners[:, 0], np.cross(corners[:, 1], corners[:, 2]))
-    volumes = np.bincount(owner, weights=parts, minlength=len(labels))
-    largest = int(np.argmax(volumes))
-    # A narrow part of a lumen may be a separate cavity, whose surface encloses a negative volume.
-    solids = [one for one in np.unique(owner).tolist() if volumes[one] > 0.0 and one != largest]
-    boxes = [(mesh.vertices_lps[labels == one].min(axis=0), mesh.vertices_lps[labels == one].max(axis=0))
-             for one in solids]  # fmt: skip
-    kept_pieces = {largest}
-    for one in np.unique(owner).tolist():
-        point = mesh.vertices_lps[one]
-        if volumes[one] < 0.0 and not any(((point >= low) & (point <= high)).all() for low, high in boxes):
-            kept_pieces.add(one)
-    kept = mesh.triangles[np.isin(owner, list(kept_pieces))]
-    used = np.unique(kept)
-    number = np.zeros(len(labels), dtype=np.uint32)
-    number[used] = np.arange(len(used), dtype=np.uint32)
-    return Mesh(mesh.vertices_lps[used], number[kept])

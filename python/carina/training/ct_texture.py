@@ -52,6 +52,8 @@ The noise of shoulders and spine differs from that at the lung.
 """
 TREND_MM = 9.0
 """Standard deviation in mm of the local mean that is subtracted from soft tissue: anatomy, not noise."""
+LOCAL_MM = 4.0
+"""Standard deviation in mm of the window in which the local deviation is measured."""
 LAG_MM = 6.0
 """Largest distance in mm of two voxels whose covariance is measured; beyond one half of it the covariance fades."""
 MOST_SPREAD = 4.0
@@ -251,12 +253,19 @@ def _covariance(values: Values, spacing_mm: tuple[float, float, float]) -> tuple
             f"the position; found {num}; choose another position",
             code="insert.no-noise",
         )
+    # Streaks and other places of strong noise would determine a mean of all; each place counts alike.
+    near = _spread_in(spacing_zyx, LOCAL_MM)
+    square = smoothed(np.square(rest).astype(np.float32), near)
+    local = np.sqrt(square / np.maximum(smoothed(mask.astype(np.float32), near), np.float32(1e-3)))
+    typical = float(np.median(local[mask]))
+    rest = np.where(mask, rest / np.maximum(local, 0.1 * typical), 0.0)
     total, count = (np.zeros([2 * lag + 1 for lag in lags]) for _ in range(2))
     for first in range(0, len(values), SLAB):
         part = slice(first, first + SLAB)
         total += _pair_sums(rest[part], lags)
         count += _pair_sums(mask[part].astype(np.float64), lags)
     covariance = total / np.maximum(count, 1.0)
+    covariance *= typical**2 / max(float(covariance.max()), 1e-9)
     away = np.sqrt(sum((np.arange(-lag, lag + 1) * one).reshape([-1 if a == axis else 1 for a in range(3)]) ** 2
                        for axis, (lag, one) in enumerate(zip(lags, spacing_zyx, strict=True))))  # fmt: skip
     fade = np.clip((LAG_MM - away) / (0.5 * LAG_MM), 0.0, 1.0)
