@@ -3,13 +3,20 @@
 Nodules of all kinds are inserted at random free positions. Their volume is measured from the difference of both CTs. A
 classifier (logistic regression, own code) then tries to tell the boundaries of solid nodules from boundaries between
 soft tissue and lung that the CT has around them, by the slope, width and overshoot of the edge and by the noise behind
-it. It is trained and tested on other nodules (cross-validation). *Unmatched* nodules are pasted without blur and noise.
+it. *Unmatched* nodules are pasted without blur and noise; *real again* are other places on boundaries of the CT, which
+show what the classifier finds by chance.
+
+The comparison is one of blur and noise, not of shape. Therefore both classes contain only places where the boundary is
+nearly flat, and each real place has the same direction across the slices as its partner. The mean features of a CT are
+subtracted from all its samples, so that differences between CTs hide nothing. The classifier is trained and tested on
+other nodules (cross-validation).
 """
 
 from __future__ import annotations
 
 import argparse
 import math
+import os
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -20,19 +27,24 @@ from numpy.typing import NDArray
 
 import carina
 from carina.errors import CarinaError
+from carina.phantom import generate_phantom
 from carina.plan.cubic_box import smoothed, trilinear
+from carina.track import Airways
 from carina.training import InsertedNodule, free_nodule_position, insert_nodule
 from carina.training.insert_nodule import NoduleKind
 from carina.training.nodule_shape import NoduleShape
 from carina.volume import Volume
+from carina_bench.paint import paint
+from carina_bench.paint_scene import mask_folders, masks_of, scene_of_masks
+from carina_bench.track_painted import CONDITIONS
 
 __all__ = ["FEATURES", "area_under_curve", "cross_validated_scores", "edge_features", "measured_share", "pasted"]
 
 Floats = NDArray[np.float64]
 
 KINDS: tuple[NoduleKind, ...] = ("solid", "solid", "part-solid", "ground-glass")
-DIAMETERS_MM = (18.0, 26.0)
-"""Range of the diameters; a smaller core has no interior for the noise."""
+DIAMETERS_MM, GLASS_DIAMETERS_MM = (18.0, 26.0), (6.0, 26.0)
+"""Ranges of the diameters; a smaller solid nodule has no interior for the noise. Ground glass is not classified."""
 INSIDE_MM, MOST_SPREAD_HU = 6.5, 80.0
 """Depth in mm of the block of voxels for the noise, and largest range in HU of its smoothed values."""
 SAME_TILT = 0.15
@@ -40,15 +52,23 @@ SAME_TILT = 0.15
 
 Edges across thick slices are wider than edges in them.
 """
+MAX_CANDIDATES = 20_000
 SITES = 8
 """Number of places on a boundary whose features are averaged."""
 AROUND_MM = 45.0
 """Half side of the part of a CT in which real boundaries are searched."""
 STEP_MM, REACH_MM = 0.25, 4.5
 """Step and half length of the profile across an edge."""
-TISSUE_HU, LUNG_HU = (-60.0, 140.0), -600.0
+FLAT_RADIUS_MM, FLAT_MM = 2.0, 0.5
+"""Radius of the ring around a place on a boundary, and largest distance in mm of the boundary from its tangent plane.
+
+The classifier compares blur and noise; spicules and corners would tell it the shape.
+"""
+TISSUE_HU, LUNG_HU, EDGE_HU = (-60.0, 140.0), -600.0, -400.0
+"""Soft tissue, lung, and the boundary between them, HU."""
 FEATURES = ("slope", "width", "overshoot", "noise in the slice", "noise across slices", "grain")
-LIMIT_MATCHED = 0.65
+CLASSES = ("matched", "unmatched", "real", "real again")
+SPICULATION = 0.3
 FOLDS = 5
 
 
@@ -146,6 +166,8 @@ def edge_features(part: _Part, mm: Floats) -> tuple[Floats, float] | None:
     way = way / steep
     off = np.arange(-REACH_MM, REACH_MM + 1e-9, STEP_MM)
     profile = part.at(mm + off[:, None] * way)
+    if not _is_flat(part, mm, way):
+        return None
     low, high = float(np.median(profile[off < -2.5])), float(np.median(profile[off > 2.5]))
     if not (low < LUNG_HU and TISSUE_HU[0] < high < TISSUE_HU[1]):
         return None
@@ -173,6 +195,17 @@ def edge_features(part: _Part, mm: Floats) -> tuple[Floats, float] | None:
     return features, abs(float(way[2]))
 
 
+def _is_flat(part: _Part, mm: Floats, way: Floats) -> bool:
+    """Return whether the boundary near a position is nearly its tangent plane."""
+    one = np.cross(way, (1.0, 0.0, 0.0) if abs(way[0]) < 0.8 else (0.0, 1.0, 0.0))
+    one /= np.linalg.norm(one)
+    other = np.cross(way, one)
+    angles = np.arange(8) * np.pi / 4.0
+    ring = FLAT_RADIUS_MM * (np.cos(angles)[:, None] * one + np.sin(angles)[:, None] * other)
+    outer, inner = (part.at(mm + ring + off * way) for off in (-FLAT_MM, FLAT_MM))
+    return bool((outer < EDGE_HU).all() and (inner > EDGE_HU).all())
+
+
 def nodule_sample(
     volume: Volume, made: InsertedNodule, rng: np.random.Generator
 ) -> tuple[Floats, tuple[float, ...]] | None:
@@ -190,7 +223,7 @@ def nodule_sample(
         way /= np.linalg.norm(way)
         away = np.arange(0.3 * radius, 1.8 * radius, 0.2)
         ray = part.at(middle + away[:, None] * way)
-        below = np.flatnonzero(ray < -400.0)
+        below = np.flatnonzero(ray < EDGE_HU)
         features = None if not len(below) else edge_features(part, middle + away[below[0]] * way)
         if features is not None:
             found.append(features)
@@ -201,15 +234,32 @@ def nodule_sample(
     return np.mean([one for one, _ in found], axis=0), tuple(tilt for _, tilt in found)
 
 
+def _candidates(part: _Part, rng: np.random.Generator) -> Floats:
+    """Return positions (n, 3) in mm of voxels on boundaries with soft tissue behind and lung before them, shuffled."""
+    edges = np.argwhere(np.abs(part.soft - EDGE_HU) < 120.0)[:, ::-1]
+    size = np.array(part.values.shape[::-1])
+    edges = edges[((edges > 0) & (edges < size - 1)).all(axis=1)]
+    edges = edges[rng.permutation(len(edges))[:MAX_CANDIDATES]]
+
+    def soft(ijk: NDArray[np.int64]) -> NDArray[np.float32]:
+        i, j, k = np.clip(ijk, 0, size - 1).T
+        return part.soft[k, j, i]
+
+    way = np.stack([soft(edges + step) - soft(edges - step) for step in np.eye(3, dtype=int)], axis=1)
+    way = way / (2.0 * np.array(part.spacing_mm))
+    way /= np.maximum(np.linalg.norm(way, axis=1, keepdims=True), 1e-9)
+    behind, before = (soft(np.rint(edges + far * way / part.spacing_mm).astype(int)) for far in (INSIDE_MM, -REACH_MM))
+    good = (behind > TISSUE_HU[0]) & (behind < TISSUE_HU[1]) & (before < EDGE_HU)
+    return np.asarray(edges[good] * np.array(part.spacing_mm))
+
+
 def real_sample(
     volume: Volume, made: InsertedNodule, tilts: tuple[float, ...], rng: np.random.Generator
 ) -> Floats | None:
     """Return the mean features of boundaries that the CT has round a nodule, with the same components across slices."""
     part = _Part.around(volume, np.array(made.centre_lps), AROUND_MM)
-    edges = np.argwhere(np.abs(part.soft + 400.0) < 120.0)
     missing, found = list(tilts), []
-    for number in rng.permutation(len(edges))[:20_000]:
-        at = edges[int(number)][::-1].astype(np.float64) * np.array(part.spacing_mm)
+    for at in _candidates(part, rng):
         features = edge_features(part, at)
         if features is None:
             continue
@@ -251,72 +301,131 @@ def area_under_curve(scores: Floats, labels: Floats) -> float:
     return float(((high > low) + 0.5 * (high == low)).mean())
 
 
+def centred(samples: list[tuple[int, int, Floats]], other: list[tuple[int, int, Floats]]) -> tuple[Floats, Floats]:
+    """Return the features of two classes without the means of their CTs.
+
+    Parameters
+    ----------
+    samples, other
+        CT, number of the nodule, and features (f,) of each sample of a class.
+    """
+    both = np.array([row for _, _, row in (*samples, *other)])
+    case = np.array([ct for ct, _, _ in (*samples, *other)])
+    for ct in np.unique(case):
+        both[case == ct] -= both[case == ct].mean(axis=0)
+    return both[: len(samples)], both[len(samples) :]
+
+
 def main(arguments: list[str] | None = None) -> int:
     """Insert nodules into the CTs, print each as it ends, and print the volumes and the classifier's results."""
     parser = argparse.ArgumentParser(prog="python -m carina_bench.inserted_nodules", description=__doc__)
-    parser.add_argument("ct", nargs="+", help="folder or file of a CT, or `patient` for the bundled one")
+    parser.add_argument(
+        "ct",
+        nargs="+",
+        help="folder or file of a CT, `patient` for the bundled one, "
+        "phantom:SEED, or painted:PATIENT:CONDITION (masks in CARINA_DATA_DIR)",
+    )
     parser.add_argument("--num", type=int, default=40, help="number of nodules in all CTs together")
     parser.add_argument("--seconds", type=float, default=math.inf, help="time after which no more nodules are inserted")
     options = parser.parse_args(arguments)
     end_s = time.monotonic() + options.seconds
     shares: list[float] = []
-    samples: dict[str, list[tuple[int, Floats]]] = {"matched": [], "unmatched": [], "real": []}
-    for case, path in enumerate(options.ct):
+    samples: dict[str, list[tuple[int, int, Floats]]] = {name: [] for name in CLASSES}
+    for case, name in enumerate(options.ct):
         if time.monotonic() > end_s:
             break
-        volume = carina.demo_patient() if path == "patient" else carina.open_volume(Path(path), progress=False)
-        airways = carina.find_airways(volume, progress=False)
+        volume, airways = _opened(name)
         for number in range(case, options.num, len(options.ct)):
             if time.monotonic() > end_s:
                 break
-            rng = np.random.default_rng([number, 45])
-            kind = KINDS[number % len(KINDS)]
-            diameter = float(rng.uniform(*DIAMETERS_MM))
-            try:
-                place = free_nodule_position(volume, airways, diameter_mm=diameter, spiculation=0.3, seed=number,
-                                             through_vessels=True)  # fmt: skip
-                made = insert_nodule(
-                    volume, airways, place, kind=kind, diameter_mm=diameter, spiculation=0.3, seed=number,
-                    core_diameter_mm=0.8 * diameter if kind == "part-solid" else None,
-                    through_vessels=True,
-                )  # fmt: skip
-            except CarinaError as error:
-                print(f"CT {case} nodule {number}: refused, {error.code}", flush=True)
+            made = _inserted(volume, airways, number)
+            if isinstance(made, CarinaError):
+                print(f"CT {case} nodule {number}: refused, {made.code}", flush=True)
                 continue
             share = measured_share(volume, made)
             shares.append(share)
-            usable = ""
-            if kind != "ground-glass":
-                matched = nodule_sample(made.volume, made, rng)
-                unmatched = nodule_sample(pasted(volume, made), made, rng)
-                real = None if matched is None else real_sample(volume, made, matched[1], rng)
-                if matched is None or unmatched is None or real is None:
-                    usable = ", without features"
-                else:
-                    for name, one in (("matched", matched[0]), ("unmatched", unmatched[0]), ("real", real)):
-                        samples[name].append((number, one))
-            texture = made.texture
+            rows = None if made.kind == "ground-glass" else _classes(volume, made, number)
+            for kind, row in (rows or {}).items():
+                samples[kind].append((case, number, row))
+            texture, percent = made.texture, 100 * (share - 1.0)
             print(
-                f"CT {case} nodule {number:2} {kind:12} {diameter:4.1f} mm: volume {100 * (share - 1.0):+.1f} %, blur "
+                f"CT {case} nodule {number:2} {made.kind:12} {made.diameter_mm:4.1f} mm: volume {percent:+.1f} %, blur "
                 f"{', '.join(f'{one:.2f}' for one in texture.sigma_mm)} mm, gain {texture.gain:.2f}, noise "
-                f"{texture.noise_hu:.0f} HU{usable}",
+                f"{texture.noise_hu:.0f} HU{'' if rows or made.kind == 'ground-glass' else ', without features'}",
                 flush=True,
             )
     worst = max(abs(one - 1.0) for one in shares)
     print(f"\n{len(shares)} nodules: volume within {100 * worst:.1f} % (worst), "
           f"{sum(abs(one - 1.0) <= 0.05 for one in shares)} within 5 %")  # fmt: skip
-    real_rows = np.array([one for _, one in samples["real"]])
-    print("medians of the features: " + ", ".join(FEATURES))
-    for name, numbered in samples.items():
-        print(f"  {name:10} " + "  ".join(f"{one:7.3f}" for one in np.median([row for _, row in numbered], axis=0)))
-    for name in ("matched", "unmatched"):
-        rows = np.array([one for _, one in samples[name]])
-        groups = np.array([number for number, _ in samples[name]] * 2)
-        labels = np.concatenate([np.ones(len(rows)), np.zeros(len(real_rows))])
-        scores = cross_validated_scores(np.concatenate([rows, real_rows]), labels, groups // len(options.ct))
-        area = area_under_curve(scores, labels)
-        print(f"{name:10} {len(rows)} nodules, {len(real_rows)} real boundaries: AUC {area:.3f}")
+    report_classes(samples)
     return 0
+
+
+def _opened(name: str) -> tuple[Volume, Airways]:
+    """Return a CT and its airways."""
+    kind, _, rest = name.partition(":")
+    if kind == "painted":
+        patient, _, condition = rest.partition(":")
+        options = CONDITIONS[condition].options
+        folder = mask_folders(Path(os.environ["CARINA_DATA_DIR"]))[patient]
+        volume = paint(scene_of_masks(masks_of(folder), options), options).volume
+    elif kind == "phantom":
+        volume = generate_phantom(seed=int(rest), spacing_mm=0.9, noise_hu=25.0, progress=False).volume
+    else:
+        volume = carina.demo_patient() if name == "patient" else carina.open_volume(Path(name), progress=False)
+    return volume, carina.find_airways(volume, progress=False)
+
+
+def _inserted(volume: Volume, airways: Airways, number: int) -> InsertedNodule | CarinaError:
+    """Return the nodule of a number at a random free position, or the error if there is none."""
+    rng = np.random.default_rng([number, 45])
+    kind = KINDS[number % len(KINDS)]
+    diameter = float(rng.uniform(*(GLASS_DIAMETERS_MM if kind == "ground-glass" else DIAMETERS_MM)))
+    try:
+        place = free_nodule_position(
+            volume, airways, diameter_mm=diameter, spiculation=SPICULATION, seed=number, through_vessels=True
+        )
+        return insert_nodule(
+            volume, airways, place, kind=kind, diameter_mm=diameter, spiculation=SPICULATION, seed=number,
+            core_diameter_mm=0.8 * diameter if kind == "part-solid" else None, through_vessels=True,
+        )  # fmt: skip
+    except CarinaError as error:
+        return error
+
+
+def _classes(volume: Volume, made: InsertedNodule, number: int) -> dict[str, Floats] | None:
+    """Return the features of each class at one nodule; None if one of them has too few usable places."""
+    rng = np.random.default_rng([number, 46])
+    matched = nodule_sample(made.volume, made, rng)
+    unmatched = nodule_sample(pasted(volume, made), made, rng)
+    if matched is None or unmatched is None:
+        return None
+    real, again = (real_sample(volume, made, matched[1], rng) for _ in range(2))
+    if real is None or again is None:
+        return None
+    return dict(zip(CLASSES, (matched[0], unmatched[0], real, again), strict=True))
+
+
+def report_classes(samples: dict[str, list[tuple[int, int, Floats]]]) -> dict[str, float]:
+    """Print the medians of the features and the results of the classifier; return the areas under its curves."""
+    print("medians of the features: " + ", ".join(FEATURES))
+    for name, rows in samples.items():
+        print(f"  {name:10} " + "  ".join(f"{one:7.3f}" for one in np.median([row for _, _, row in rows], axis=0)))
+    areas: dict[str, float] = {}
+    real = samples["real"]
+    for name in CLASSES:
+        if name == "real":
+            continue
+        ours, theirs = centred(samples[name], real)
+        groups = np.array([number for _, number, _ in (*samples[name], *real)])
+        # The numbers of the nodules of one CT differ by a constant, so their order gives the folds.
+        groups = np.unique(groups, return_inverse=True)[1]
+        features, labels = np.concatenate([ours, theirs]), np.repeat([1.0, 0.0], [len(ours), len(theirs)])
+        areas[name] = area_under_curve(cross_validated_scores(features, labels, groups), labels)
+        alone = [area_under_curve(features[:, n], labels) for n in range(features.shape[1])]
+        print(f"{name:10} {len(ours)} nodules, {len(theirs)} real boundaries: AUC {areas[name]:.3f}; of one feature "
+              + ", ".join(f"{max(one, 1.0 - one):.2f}" for one in alone))  # fmt: skip
+    return areas
 
 
 if __name__ == "__main__":

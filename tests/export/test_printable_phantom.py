@@ -11,7 +11,8 @@ import carina
 from cached_test_data import SMALL_CHEST, cached_airways, cached_phantom
 from carina.errors import UsageError
 from carina.export import printable_phantom, write_mesh
-from carina.export.printable_phantom import CUT_MM, PrintablePhantom
+from carina.export.printable_phantom import CUT_MM, EndCut, PrintablePhantom, PrintedLumen
+from carina_bench.printed_walls import distances_to_triangles, wall_thickness
 
 pytestmark = pytest.mark.slow
 WALL_MM = 2.0
@@ -82,36 +83,49 @@ def test_stl_is_watertight_with_outward_normals(tmp_path, request, name):
     assert path.read_bytes()[:80].startswith(b"Carina printable airway wall")
 
 
-def test_wall_has_its_thickness_within_a_fifth_of_a_millimetre(chest, wall, plain):
-    vertices = plain.mesh.vertices_lps
-    away = -wall.distance_mm(vertices)
-    root = chest[1].tree.root.points
-    far = np.linalg.norm(vertices - root[0], axis=1) > 25.0
-    inner, outer = vertices[away < 0.5], vertices[far & (away > WALL_MM - 0.5)]
-    # All vertices are on the inner or on the outer surface.
-    assert (far & (away < 0.5)).sum() + len(outer) > 0.999 * far.sum()
-    # The outer surface keeps its distance from the lumen of the export, whose triangles are about 1 mm wide.
-    lumen = carina.track.lumen_mesh(*chest, progress=False)
-    corners = lumen.vertices_lps[lumen.triangles]
-    points = np.concatenate([lumen.vertices_lps, corners.mean(axis=1), 0.5 * (corners[:, 0] + corners[:, 1])])
-    some = outer[np.random.default_rng(1).permutation(len(outer))[:400]]
-    offset = np.array([np.linalg.norm(points - one, axis=1).min() for one in some])
-    assert np.abs(offset - WALL_MM).max() < 0.2
-    # The printed wall equals this offset except at ends of a lumen that are narrower than the distance of the samples.
-    thick = np.array([np.linalg.norm(inner - one, axis=1).min() for one in some])
-    assert (np.abs(thick - WALL_MM) < 0.2).mean() > 0.97
-    assert thick.min() > WALL_MM - 0.2
-    assert np.abs(wall.distance_mm(inner[np.linalg.norm(inner - root[0], axis=1) > 25.0])).max() < 0.2
+def test_wall_has_its_thickness_within_a_fifth_of_a_millimetre_everywhere(chest, plain):
+    found = wall_thickness(plain, *chest)
+    assert len(found.outer) == len(found.inner) == 4000
+    assert np.abs(found.outer - WALL_MM).max() < 0.2
+    # Neighbouring airways share material, so that the way out may be longer, but nowhere shorter.
+    assert found.inner.min() > WALL_MM - 0.2
+    assert np.median(found.inner) == pytest.approx(WALL_MM, abs=0.1)
+
+
+def test_distance_to_triangles_is_that_to_face_edge_or_corner():
+    corners = np.array([[[0.0, 0.0, 0.0], [2.0, 0.0, 0.0], [0.0, 2.0, 0.0]]])
+    points = np.array([[0.5, 0.5, 1.5], [1.0, -1.0, 0.0], [-1.0, -1.0, 1.0], [0.5, 0.5, 9.0]])
+    assert distances_to_triangles(points, corners) == pytest.approx([1.5, 1.0, 3.0**0.5, 4.0])
+
+
+def test_wall_of_a_branch_is_whole_beside_the_open_tip_of_another(chest, open_ended):
+    """The cut of a tip once took the walls of neighbours, which left thin places and holes."""
+    lumen = PrintedLumen.of(*chest, None)
+    tips = [tip for tip in chest[1].tree.tips() if tip.id != chest[1].tree.root.id]
+    cuts = [EndCut.of(tip, chest[1], lumen, at_start=False, wall_mm=1.2) for tip in tips]
+    cuts = [one for one in cuts if one.is_free(lumen.field) and len(one.others_lps)]
+    assert cuts
+    vertices = open_ended.mesh.vertices_lps
+    inner = -lumen.field.distance_mm(vertices) < 0.6
+    outer = vertices[open_ended.mesh.triangles[(~inner)[open_ended.mesh.triangles].all(axis=1)]]
+    others = np.concatenate([one.others_lps[np.argsort(np.linalg.norm(one.others_lps - one.middle_lps, axis=1))[:25]]
+                             for one in cuts])  # fmt: skip
+    # Places that a cut of their own branch removes are no walls.
+    own = [EndCut.of(tip, chest[1], lumen, at_start=False, wall_mm=1.2) for tip in tips]
+    kept = np.array([max(float(one.inside_mm(place[None])[0]) for one in own) < -1.3 for place in others])
+    found = distances_to_triangles(others[kept], outer)
+    assert kept.sum() > 50
+    assert found.min() > 1.2 - 0.2
 
 
 def test_trachea_is_open_and_tips_only_on_request(chest, made, plain, open_ended):
     tree = chest[1].tree
     # An open tube is a sphere; each further open end adds a handle between the inner and the outer surface.
     assert made.num_open_tips == 0
-    assert open_ended.num_open_tips == len(tree.tips())
-    # Some narrow tips are cavities, whose opening removes a piece instead of adding a handle: both change it by 2.
+    assert open_ended.num_open_tips + open_ended.num_closed_tips == len(tree.tips())
+    assert open_ended.num_open_tips > 0.8 * len(tree.tips())
     change = euler_characteristic(plain.mesh) - euler_characteristic(open_ended.mesh)
-    assert change >= 2 * 0.9 * len(tree.tips())
+    assert change == 2 * open_ended.num_open_tips
     axis = tree.root.points
     near_end = np.linalg.norm(made.mesh.vertices_lps - axis[0], axis=1)
     assert near_end.min() > 1.0

@@ -12,6 +12,7 @@ import pytest
 import carina
 from carina.cli.insert import report
 from carina.errors import CarinaError, UsageError
+from carina.plan.cubic_box import smoothed
 from carina.plan.reasons import reasons_against
 from carina.plan.report import make_sheet, write_report
 from carina.render import AirwayView, Renderer, read_png_badges
@@ -100,14 +101,65 @@ def test_measured_blur_is_that_of_a_blurred_edge():
     assert texture.sigma_mm == pytest.approx((0.9, 0.9, 1.3), abs=0.12)
     assert texture.gain == 0.0
     assert texture.noise_hu == pytest.approx(15.0, rel=0.1)
-    assert texture.between_slices == pytest.approx(0.0, abs=0.1)
+    # White noise has no covariance between voxels.
+    middle = [n // 2 for n in texture.covariance_zyx.shape]
+    rest = texture.covariance_zyx.copy()
+    rest[tuple(middle)] = 0.0
+    assert np.abs(rest).max() < 0.05 * texture.noise_hu**2
 
 
-def test_synthetic_noise_has_the_measured_spectrum_and_deviation(chest, made):
-    noise = made.texture.noise((24, 96, 96), 1)
-    assert noise.std() == pytest.approx(made.texture.noise_hu, rel=1e-3)
-    found = np.corrcoef(noise[:-1].ravel(), noise[1:].ravel())[0, 1]
-    assert found == pytest.approx(made.texture.between_slices, abs=0.08)
+def ball_of_lung(sigma_mm, spacing_mm, noise):
+    """Return a ball of lung in soft tissue, blurred along the axes of the voxels, with noise (nz, ny, nx)."""
+    offsets = np.indices(noise.shape, dtype=float)[::-1].T.swapaxes(0, 2) - (np.array(noise.shape[::-1]) - 1) / 2
+    offsets = offsets * spacing_mm
+    away = np.linalg.norm(offsets, axis=-1)
+    normal = offsets / np.maximum(away, 1e-9)[..., None]
+    across = np.sqrt(np.square(normal * sigma_mm).sum(axis=-1))
+    return (-850.0 + 890.0 * edge_shares((away - 30.0) / across, 1.0, 0.0) + noise).astype(np.int16)
+
+
+def test_oblique_edges_in_thick_slices_do_not_widen_the_blur_in_the_slice():
+    noise = np.random.default_rng(3).normal(0.0, 12.0, (32, 140, 140))
+    texture = measured_texture(ball_of_lung((0.65, 0.65, 1.6), (0.65, 0.65, 3.0), noise), (0.65, 0.65, 3.0))
+    assert texture.sigma_mm[:2] == pytest.approx((0.65, 0.65), abs=0.05)
+    assert texture.sigma_mm[2] == pytest.approx(1.6, abs=0.25)
+
+
+def correlated_noise(shape, seed):
+    """Return noise of 20 HU with a fine and a coarse part, other along x than along y, weakly correlated along z."""
+    rng = np.random.default_rng(seed)
+    parts = []
+    for sigmas in ((0.4, 0.7, 1.1), (0.6, 2.2, 2.2)):
+        part = smoothed(rng.standard_normal(shape).astype(np.float32), sigmas)
+        parts.append(part / part.std())
+    return 20.0 * (0.8 * parts[0] + 0.6 * parts[1])
+
+
+def covariances(noise, lags):
+    """Return the covariances of noise (nz, ny, nx) at lags (z, y, x)."""
+    nz, ny, nx = noise.shape
+    return [float((noise[: nz - k, : ny - j, : nx - i] * noise[k:, j:, i:]).mean()) for k, j, i in lags]
+
+
+LAGS = ((0, 0, 0), (0, 0, 1), (0, 0, 2), (0, 0, 4), (0, 1, 0), (0, 2, 0), (0, 4, 0), (1, 0, 0), (1, 1, 1))
+
+
+def test_measured_noise_has_the_covariance_of_the_ct_at_all_distances():
+    noise = correlated_noise((32, 140, 140), 4)
+    texture = measured_texture(ball_of_lung((0.65, 0.65, 1.6), (0.65, 0.65, 3.0), noise), (0.65, 0.65, 3.0))
+    z, y, x = (n // 2 for n in texture.covariance_zyx.shape)
+    found = [texture.covariance_zyx[z + k, y + j, x + i] for k, j, i in LAGS]
+    assert found == pytest.approx(covariances(noise, LAGS), abs=0.06 * 400.0)
+
+
+def test_synthetic_noise_has_the_measured_covariance_at_all_distances():
+    noise = correlated_noise((32, 140, 140), 5)
+    texture = measured_texture(ball_of_lung((0.65, 0.65, 1.6), (0.65, 0.65, 3.0), noise), (0.65, 0.65, 3.0))
+    again = texture.noise((32, 140, 140), 1)
+    assert covariances(again, LAGS) == pytest.approx(covariances(noise, LAGS), abs=0.06 * 400.0)
+    # The low frequencies, which differences of neighbours do not show, are those of blocks of 4 x 4 voxels.
+    blocks = [one.reshape(32, 35, 4, 35, 4).mean(axis=(2, 4)).std() for one in (noise, again)]
+    assert blocks[1] == pytest.approx(blocks[0], rel=0.06)
 
 
 def test_positions_outside_the_free_lung_are_refused_with_a_reason(chest):

@@ -25,12 +25,14 @@ from carina.export import (
     export_airways,
     export_tree,
     is_tree_file,
+    printable_mould,
     printable_phantom,
     read_tree,
     write_mask,
     write_mesh,
     write_tree,
 )
+from carina.export.printable_mould import MOULD_PARTS
 from carina.export.printable_phantom import BUILD_MM, LEAST_WALL_MM, WALL_MM
 from carina.track import Absence, Airways, TreeMeasures, TreeRow, drawn_tree, kind_words, lumen_mask, measure_tree
 from carina.volume import Volume, open_mask
@@ -148,8 +150,9 @@ def print_formats() -> None:
 
 @dataclass(frozen=True, slots=True)
 class PrintOptions:
-    """Options of a printable phantom."""
+    """Options of a printable phantom or mould."""
 
+    mould: bool
     wall_mm: float
     open_tips: bool
     names: bool
@@ -161,6 +164,7 @@ class PrintOptions:
         cls,
         *,
         wanted: bool,
+        mould: bool,
         wall_mm: float | None,
         open_tips: bool,
         no_names: bool,
@@ -171,6 +175,7 @@ class PrintOptions:
         if not wanted:
             check_needs(
                 "a printable phantom (--phantom-print)",
+                mould=mould,
                 wall_mm=wall_mm,
                 open_tips=open_tips,
                 no_names=no_names,
@@ -178,12 +183,17 @@ class PrintOptions:
                 least_wall_mm=least_wall_mm,
             )
             return None
+        if mould and open_tips:
+            raise UsageError(
+                "--open-tips only applies without --mould; the supports of the core open the tips of a cast"
+            )
         check_range("--wall-mm", wall_mm, *WALL_MM, "mm")
         check_range("--least-wall-mm", least_wall_mm, 0.1, 10.0, "mm")
         sides = BUILD_MM if build_mm is None else (float(build_mm[0]), float(build_mm[1]), float(build_mm[2]))
         for side in sides:
             check_range("--build-mm", side, 10.0, 5000.0, "mm")
         return cls(
+            mould,
             2.0 if wall_mm is None else wall_mm,
             open_tips,
             not no_names,
@@ -209,6 +219,8 @@ def write(
     """Find the airways, or read a tree from a file, and write them in another format."""
     if printed is not None:
         check_output_file(output, ".stl", ".ply", ".obj")
+        for part in MOULD_PARTS if printed.mould else ():
+            check_output_file(_part_file(output, part))
         if tree is not None:
             raise UsageError("--tree only applies to formats without the lumen; --phantom-print needs the lumen")
     try:
@@ -236,7 +248,8 @@ def write(
     elif printed is not None:
         airways = _airways(source, seed=None, from_mask=from_mask, label=label, resample=resample)
         badges.add_airways_notes(airways)
-        return _write_print(output, volume, airways, printed, badges, as_json=as_json)
+        write_it = _write_mould if printed.mould else _write_print
+        return write_it(output, volume, airways, printed, badges, as_json=as_json)
     else:
         airways = _airways(source, seed=None, from_mask=from_mask, label=label, resample=resample)
         given = given or airways.tree
@@ -277,6 +290,44 @@ def _write_print(
         print_result(
             f"wall of {made.wall_mm:g} mm, {x:.0f} x {y:.0f} x {z:.0f} mm, {made.mesh.volume_mm3 / 1000.0:.0f} ml of "
             f"material, {len(made.names)} names"
+        )
+    return 0
+
+
+def _part_file(output: Path, part: str) -> Path:
+    """Return the file of a part of the mould: its name ends with the name of the part."""
+    return output.with_name(f"{output.stem}-{part}{output.suffix}")
+
+
+def _write_mould(
+    output: Path, volume: Volume, airways: Airways, printed: PrintOptions, badges: Badges, *, as_json: bool
+) -> int:
+    """Write the parts of a mould, and print its facts."""
+    made = printable_mould(
+        volume,
+        airways,
+        wall_mm=printed.wall_mm,
+        names=printed.names,
+        build_mm=printed.build_mm,
+        least_wall_mm=printed.least_wall_mm,
+        progress=progress_printer(),
+    )
+    drawn = drawn_tree(airways.tree).words
+    note = None if drawn is None else f"{drawn}: not from the CT"
+    files = [_part_file(output, part) for part in made.parts]
+    for file, (part, mesh) in zip(files, made.parts.items(), strict=True):
+        write_mesh(file, mesh, note=note, badges=badges.notes, contents=f"mould of the airway wall, {part}")
+        print_note(f"wrote {file}")
+    if made.num_left_out:
+        reason = "a half would enclose them, or their lumen is too thin for a core"
+        print_note(f"note: {made.num_left_out} branches are not in the mould, because {reason}")
+    if as_json:
+        outputs = [str(file) for file in files]
+        print_json({"output": str(output), "files": outputs, **made.to_json(), "badges": badges.to_json()})
+    else:
+        print_result(
+            f"mould of {len(made.branches)} branches for a cast of {made.wall_mm:g} mm: front, back and core, "
+            f"{len(made.names)} names"
         )
     return 0
 

@@ -122,6 +122,13 @@ def export(
             help="Write the airway wall as a solid for a 3D printer (.stl, .ply, .obj), open at the trachea.",
         ),
     ] = False,
+    mould: Annotated[
+        bool,
+        typer.Option(
+            "--mould",
+            help="With --phantom-print: write a mould of the central airways: NAME-front, NAME-back, NAME-core.",
+        ),
+    ] = False,
     wall_mm: Annotated[
         float | None, typer.Option("--wall-mm", help="Thickness of the printed wall, 0.6 to 2.2 mm (default: 2).")
     ] = None,
@@ -152,6 +159,7 @@ def export(
                 path,
                 printed=PrintOptions.of(
                     wanted=phantom_print,
+                    mould=mould,
                     wall_mm=wall_mm,
                     open_tips=open_tips,
                     no_names=no_names,

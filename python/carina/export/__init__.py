@@ -14,6 +14,7 @@ from carina.export.plan_file import PLAN_FORMATS, check_plan_file, export_plan
 from carina.export.plan_markups import write_plan_markups
 from carina.export.plan_nrrd import write_target_nrrd
 from carina.export.plan_openigtlink import PlanServer, plan_messages, send_plan
+from carina.export.printable_mould import PrintableMould, printable_mould
 from carina.export.printable_phantom import PrintablePhantom, printable_phantom
 from carina.export.tree_file import read_badges, read_tree, write_tree
 from carina.export.tree_formats import write_markups, write_swc, write_vtp
@@ -41,6 +42,7 @@ __all__ = [
     "ExportFormat",
     "Film",
     "PlanServer",
+    "PrintableMould",
     "PrintablePhantom",
     "VideoWriter",
     "check_export",
@@ -52,6 +54,7 @@ __all__ = [
     "export_tree",
     "is_tree_file",
     "plan_messages",
+    "printable_mould",
     "printable_phantom",
     "read_badges",
     "read_tree",

@@ -1,13 +1,13 @@
 """Printable phantom: the airway wall at a chosen thickness as one watertight mesh, with an open trachea and names.
 
-The wall is the set of points outside the lumen at a distance of at most its thickness. Cylinders that are cut off open
-the trachea and, on request, the tips. Names are dots on the outer surface. The mesh is that of marching cubes over
-samples of the signed distance to this solid; each vertex is at the zero crossing of its grid edge.
+The wall is the set of points outside the printed lumen at a distance of at most its thickness. The printed lumen is the
+part of the lumen that samples show as one piece, so that the wall is not thicker at ends that no sample shows.
+Cylinders that are cut off open the trachea and, on request, the tips; the walls of other branches stay. Names are dots
+on the outer surface.
 """
 
 from __future__ import annotations
 
-import itertools
 import math
 from dataclasses import dataclass
 from typing import Any
@@ -17,32 +17,27 @@ from numpy.typing import NDArray
 
 from carina.argument_checks import check_arguments, each, flag, instance, number_from
 from carina.display import one_line
-from carina.display.dot_letters import text_dots
 from carina.display.progress import ProgressChoice, progress_function, shows_progress
-from carina.errors import NoResultError, UsageError
+from carina.errors import UsageError
+from carina.export.embossed_names import DOT_MM, name_dots
+from carina.export.sampled_solid import solid_mesh
 from carina.scopes import WallField
-from carina.track import Airways, Branch, wall_field
-from carina.track.surface.mesh import Mesh, mask_mesh
+from carina.track import Airways, AirwayTree, Branch, wall_field
+from carina.track.surface.mesh import Mesh
 from carina.volume import Volume
 
 Points = NDArray[np.float64]
 
 WALL_MM = (0.6, 2.2)
 """Range of the thickness in mm; beyond it the distance to the lumen is not stored."""
-SAMPLE_MM = 0.4
-"""Distance in mm of the samples of the solid."""
-BLOCK = 8
-"""Number of samples along the side of a block; only blocks near the wall are computed."""
-BLOCKS_AT_ONCE, GROUP = 256, 128
-"""Number of blocks that are computed together, and number of vertices of a group."""
+FIELD_MM = 0.25
+"""Distance in mm of the samples of the distance to the printed lumen, between which the distance is interpolated."""
 BUILD_MM = (250.0, 210.0, 210.0)
 """Default build volume in mm, that of a common desktop printer (general knowledge)."""
 LEAST_WALL_MM = 1.0
 """Default least thickness in mm that a printer makes reliably (general knowledge: two lines of a 0.4 mm nozzle)."""
 CUT_MM = 2.0
 """Length in mm of the end of the trachea, or of a tip, that is cut off."""
-DOT_MM, DOT_PITCH_MM = 0.55, 0.75
-"""Radius of the dots of names, and their distance, mm."""
 NARROW_MM = 2.0
 """Diameter of a lumen in mm below which a print may be blocked; such branches are counted."""
 
@@ -53,10 +48,7 @@ class PrintablePhantom:
     """Mesh of the airway wall for a 3D printer."""
 
     mesh: Mesh
-    """Closed mesh of the solid, LPS mm: the inner and outer surface are joined at the open ends.
-
-    Parts of the lumen that the samples do not join to it are cavities.
-    """
+    """Closed mesh of the solid, LPS mm: the inner and outer surface are joined at the open ends."""
     wall_mm: float
     size_mm: tuple[float, float, float]
     """Extent along LPS x, y and z, mm."""
@@ -65,6 +57,8 @@ class PrintablePhantom:
     names_left_out: tuple[str, ...]
     """Names of branches that are too short or too thin for their name."""
     num_open_tips: int
+    num_closed_tips: int
+    """Number of tips that are closed although open tips are wanted: the wall of another branch is before them."""
     num_narrow: int
     """Number of branches whose lumen is narrower than 2 mm, which a print may block."""
 
@@ -78,6 +72,7 @@ class PrintablePhantom:
             "names": list(self.names),
             "names_left_out": list(self.names_left_out),
             "num_open_tips": self.num_open_tips,
+            "num_closed_tips": self.num_closed_tips,
             "num_narrow": self.num_narrow,
         }
 
@@ -138,44 +133,74 @@ def printable_phantom(
             code="print.wall",
         )
     report = progress_function(progress)
-    wall = wall_field(volume, airways, progress=report)
     tree = airways.tree
-    low, high = _extent(airways, wall_mm)
-    _check_size(tuple(float(v) for v in high - low), build_mm)
-    cuts = [_Cut.of(tree.root, at_start=True, wall_mm=wall_mm)]
-    tips = [tip for tip in tree.tips() if tip.id != tree.root.id]
-    if open_tips:
-        cuts += [_Cut.of(tip, at_start=False, wall_mm=wall_mm) for tip in tips]
-    dots, written, left_out = _name_dots(airways, wall, wall_mm) if names else (np.empty((0, 3)), (), ())
-    solid = _Solid(wall, wall_mm, tuple(cuts), dots)
-    mesh = _largest_piece(_mesh_of(solid, airways, low, high, report))
+    low, high = extent_of(airways, wall_mm)
+    check_size("phantom", tuple(float(v) for v in high - low), build_mm)
+    lumen = PrintedLumen.of(volume, airways, report)
+    field = lumen.field
+    cuts = [EndCut.of(tree.root, airways, lumen, at_start=True, wall_mm=wall_mm)]
+    tips = [tip for tip in tree.tips() if tip.id != tree.root.id] if open_tips else []
+    wanted = [EndCut.of(tip, airways, lumen, at_start=False, wall_mm=wall_mm) for tip in tips]
+    opened = [one for one in wanted if one.is_free(field)]
+    cuts += opened
+    dots, written, left_out = name_dots(airways, field, wall_mm) if names else (np.empty((0, 3)), (), ())
+    solid = _Wall(field, wall_mm, tuple(cuts), dots)
+    near = near_branches(airways, wall_mm + DOT_MM + 1.5)
+    mesh = solid_mesh(solid, low, high, near, what="computing the wall", report=report)
     size = np.ptp(mesh.vertices_lps, axis=0)
     extent = (float(size[0]), float(size[1]), float(size[2]))
-    _check_size(extent, build_mm)
+    check_size("phantom", extent, build_mm)
     narrow = sum(2.0 * float(np.median(branch.radius)) < NARROW_MM for branch in tree.branches)
-    return PrintablePhantom(mesh, wall_mm, extent, written, left_out, len(cuts) - 1, narrow)
+    return PrintablePhantom(mesh, wall_mm, extent, written, left_out, len(opened), len(wanted) - len(opened), narrow)
 
 
-def _extent(airways: Airways, wall_mm: float) -> tuple[Points, Points]:
+@dataclass(frozen=True, slots=True, eq=False)
+class PrintedLumen:
+    """The part of the lumen that samples show as one piece."""
+
+    mesh: Mesh
+    field: WallField
+    """Distance to the mesh."""
+
+    @classmethod
+    def of(
+        cls, volume: Volume, airways: Airways, report: Any, *, branches: frozenset[int] | None = None
+    ) -> PrintedLumen:
+        """Return the printed lumen of airways, or of some branches only."""
+        low, high = extent_of(airways, 0.0)
+        lumen = _Lumen(wall_field(volume, airways, progress=report), airways.tree, branches)
+        near = near_branches(airways, 1.5)
+        mesh = solid_mesh(lumen, low, high, near, what="computing the lumen", report=report)
+        return cls(mesh, WallField.from_mesh(mesh.vertices_lps, mesh.triangles, spacing_mm=FIELD_MM, progress=report))
+
+
+def near_branches(airways: Airways, reach_mm: float) -> list[tuple[Points, NDArray[np.float64]]]:
+    """Return the centrelines of all branches, with the radii plus a reach in mm."""
+    return [(branch.points, branch.radius + reach_mm) for branch in airways.tree.branches]
+
+
+def extent_of(airways: Airways, wall_mm: float) -> tuple[Points, Points]:
+    """Return the corners (3,) of a box round the airways and their wall, LPS mm."""
     points = np.concatenate([branch.points for branch in airways.tree.branches])
     radii = np.concatenate([branch.radius for branch in airways.tree.branches])[:, None]
     margin = wall_mm + 2.0
     return (points - radii).min(axis=0) - margin, (points + radii).max(axis=0) + margin
 
 
-def _check_size(size_mm: tuple[float, ...], build_mm: tuple[float, float, float]) -> None:
+def check_size(what: str, size_mm: tuple[float, ...], build_mm: tuple[float, float, float]) -> None:
+    """Raise UsageError if a part does not fit into the build volume, even turned by quarters."""
     if any(need > have for need, have in zip(sorted(size_mm), sorted(build_mm), strict=True)):
         need, have = (" x ".join(f"{one:.0f}" for one in sorted(some, reverse=True)) for some in (size_mm, build_mm))
         raise UsageError(
-            f"the phantom of {need} mm does not fit into the build volume of {have} mm, even turned by quarters; name "
+            f"the {what} of {need} mm does not fit into the build volume of {have} mm, even turned by quarters; name "
             "a larger build volume, or cut the airways (edit the tree)",
             code="print.too-large",
         )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Cut:
-    """Cylinder that is removed at an end of a branch."""
+class EndCut:
+    """Cylinder that is removed at an end of a branch, without the walls of other branches."""
 
     middle_lps: Points
     """(3,) middle of the plane at which the branch is cut, LPS mm."""
@@ -183,12 +208,18 @@ class _Cut:
     """(3,) unit vector out of the branch."""
     radius_mm: float
     length_mm: float
+    wall_mm: float
+    others_lps: Points
+    """(n, 3) points near the cylinder on the printed lumen of other branches, LPS mm."""
 
     @classmethod
-    def of(cls, branch: Branch, *, at_start: bool, wall_mm: float) -> _Cut:
-        """Return the cut of the beginning or the end of a branch, `CUT_MM` before it."""
+    def of(cls, branch: Branch, airways: Airways, lumen: PrintedLumen, *, at_start: bool, wall_mm: float) -> EndCut:
+        """Return the cut `CUT_MM` before the beginning or the end of the printed lumen of a branch."""
         points = branch.points if not at_start else branch.points[::-1]
         radii = branch.radius if not at_start else branch.radius[::-1]
+        printed = np.flatnonzero(lumen.field.distance_mm(points) > 0.0)
+        last = max(int(printed[-1]), 1) + 1 if len(printed) else len(points)
+        points, radii = points[:last], radii[:last]
         steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
         back = np.concatenate([np.cumsum(steps[::-1])[::-1], [0.0]])
         cut_mm = min(CUT_MM, 0.5 * float(back[0]))
@@ -198,24 +229,136 @@ class _Cut:
         norm = float(np.linalg.norm(out))
         out = points[-1] - points[0] if norm < 1e-6 else out
         widest = float(radii[-max(3, len(radii) // 4) :].max())
-        return cls(middle, out / np.linalg.norm(out), widest + wall_mm + 1.5, 2.0 * widest + cut_mm + wall_mm + 4.0)
+        radius, length = widest + wall_mm + 1.5, 2.0 * widest + cut_mm + wall_mm + 4.0
+        reach = math.hypot(radius, length) + wall_mm
+        near = lumen.mesh.vertices_lps
+        near = near[np.linalg.norm(near - middle, axis=1) < reach]
+        others = near[_owners(near, airways) != branch.id]
+        return cls(middle, out / np.linalg.norm(out), radius, length, wall_mm, others)
+
+    def is_free(self, field: WallField) -> bool:
+        """Return whether the axis leaves the lumen and its wall without meeting the wall of another branch."""
+        if float(field.distance_mm(self.middle_lps)[0]) <= 0.0:
+            return False
+        along = np.arange(0.0, self.length_mm, 0.2)
+        axis = self.middle_lps + along[:, None] * self.out_lps
+        outside = np.flatnonzero(field.distance_mm(axis) <= -self.wall_mm)
+        return bool(len(outside)) and bool((self._from_others_mm(axis[: outside[0] + 1]) > 0.0).all())
+
+    def _from_others_mm(self, points: Points) -> NDArray[np.float64]:
+        """Return the distances of points (n, 3) from the walls of other branches, mm; negative in them."""
+        if not len(self.others_lps):
+            return np.full(len(points), np.inf)
+        gaps = [np.linalg.norm(some[:, None] - self.others_lps[None], axis=2).min(axis=1) for some in
+                np.array_split(points, max(1, len(points) * len(self.others_lps) // 2_000_000))]  # fmt: skip
+        found: NDArray[np.float64] = np.concatenate(gaps) - self.wall_mm
+        return found
 
     def inside_mm(self, points: Points) -> NDArray[np.float64]:
-        """Return how deep points are inside the cylinder, mm; negative outside."""
+        """Return how deep points (n, 3) are inside the part that is removed, mm; negative outside."""
         away = points - self.middle_lps
         along = away @ self.out_lps
         across = np.linalg.norm(away - along[:, None] * self.out_lps, axis=1)
         found: NDArray[np.float64] = np.minimum(np.minimum(along, self.length_mm - along), self.radius_mm - across)
+        # Samples next to the surface need the exact depth on both sides.
+        close = found > -1.0
+        found[close] = np.minimum(found[close], self._from_others_mm(points[close]))
         return found
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Solid:
-    """The wall with its cuts and its names, as a function that is positive inside."""
+def _owners(points: Points, airways: Airways) -> NDArray[np.int64]:
+    """Return the IDs of the branches to whose centrelines, less the radius, points (n, 3) are nearest."""
+    best = np.full(len(points), np.inf)
+    owner = np.full(len(points), -1, dtype=np.int64)
+    if not len(points):
+        return owner
+    middle = points.mean(axis=0)
+    spread = float(np.linalg.norm(points - middle, axis=1).max())
+    for branch in airways.tree.branches:
+        # A ball that is farther from all points than the nearest ball of any branch cannot win.
+        near = np.linalg.norm(branch.points - middle, axis=1) - branch.radius < 2.0 * spread + 5.0
+        if not near.any():
+            continue
+        gaps = np.linalg.norm(points[:, None] - branch.points[near][None], axis=2) - branch.radius[near]
+        least = gaps.min(axis=1)
+        owner[least < best] = branch.id
+        best = np.minimum(best, least)
+    return owner
 
-    wall: WallField
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Lumen:
+    """The lumen of the airways, or of some branches, whose forks are cut half-way to the branches that are left out."""
+
+    field: WallField
+    tree: AirwayTree
+    branches: frozenset[int] | None
+
+    def inside_mm(self, groups: Points) -> NDArray[np.float64]:
+        """Return how deep points (n, m, 3) are inside the lumen, (n, m) mm; negative outside."""
+        found: NDArray[np.float64] = self.field.distance_mm(groups.reshape(-1, 3)).reshape(groups.shape[:2])
+        if self.branches is None:
+            return found
+        for number in np.flatnonzero((found > -1.0).any(axis=1)):
+            # Far branches cannot own a point of the lumen.
+            chosen = found[number] > -1.0
+            some = groups[number][chosen]
+            ours, others = (
+                _ball_distance(some, [one for one in self.tree.branches if (one.id in self.branches) == wanted])
+                for wanted in (True, False)
+            )
+            found[number, chosen] = np.minimum(found[number, chosen], 0.5 * (others - ours))
+        return found
+
+
+def _ball_distance(points: Points, branches: list[Branch]) -> NDArray[np.float64]:
+    """Return the distance of points (n, 3) to the nearest ball of centrelines, mm; 5 mm if all balls are farther."""
+    middle = points.mean(axis=0)
+    spread = float(np.linalg.norm(points - middle, axis=1).max())
+    best = np.full(len(points), 5.0)
+    for branch in branches:
+        near = np.linalg.norm(branch.points - middle, axis=1) - branch.radius < spread + 5.0
+        if near.any():
+            gaps = np.linalg.norm(points[:, None] - branch.points[near][None], axis=2) - branch.radius[near]
+            best = np.minimum(best, gaps.min(axis=1))
+    return best
+
+
+def boxes_near(groups: Points, places: Points, reach_mm: float) -> NDArray[np.int64]:
+    """Return which groups of points (n, m, 3) have a box within a reach of the box of some places."""
+    low, high = groups.min(axis=1), groups.max(axis=1)
+    first, last = places.min(axis=0) - reach_mm, places.max(axis=0) + reach_mm
+    return np.flatnonzero(((high >= first) & (low <= last)).all(axis=1))
+
+
+def with_dots(depth: NDArray[np.float64], away: NDArray[np.float64], groups: Points, dots_lps: Points) -> None:
+    """Add dots to a solid outside the lumen, in place.
+
+    Parameters
+    ----------
+    depth
+        (n, m) depths in mm in the solid, which are raised.
+    away
+        (n, m) distances in mm to the wall of the lumen, positive in the lumen.
+    groups
+        (n, m, 3) points, LPS mm.
+    dots_lps
+        (k, 3) middles of the dots, LPS mm; neighbours in the array are neighbours in space.
+    """
+    for first in range(0, len(dots_lps), 16):
+        some = dots_lps[first : first + 16]
+        for number in boxes_near(groups, some, DOT_MM):
+            gaps = np.linalg.norm(groups[number][:, None] - some[None], axis=2).min(axis=1)
+            depth[number] = np.maximum(depth[number], np.minimum(DOT_MM - gaps, -away[number]))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Wall:
+    """The wall with its cuts and its names."""
+
+    field: WallField
     wall_mm: float
-    cuts: tuple[_Cut, ...]
+    cuts: tuple[EndCut, ...]
     dots_lps: Points
 
     def inside_mm(self, groups: Points) -> NDArray[np.float64]:
@@ -223,202 +366,10 @@ class _Solid:
 
         Points of one group are neighbours; cuts and dots far from a group are skipped.
         """
-        shape = groups.shape[:2]
-        away = self.wall.distance_mm(groups.reshape(-1, 3)).reshape(shape)
+        away = self.field.distance_mm(groups.reshape(-1, 3)).reshape(groups.shape[:2])
         depth: NDArray[np.float64] = np.minimum(-away, away + self.wall_mm)
-        low, high = groups.min(axis=1), groups.max(axis=1)
-
-        def near(places: Points, reach_mm: float) -> NDArray[np.int64]:
-            first, last = places.min(axis=0) - reach_mm, places.max(axis=0) + reach_mm
-            return np.flatnonzero(((high >= first) & (low <= last)).all(axis=1))
-
-        for first in range(0, len(self.dots_lps), 16):
-            some = self.dots_lps[first : first + 16]
-            for number in near(some, DOT_MM):
-                gaps = np.linalg.norm(groups[number][:, None] - some[None], axis=2).min(axis=1)
-                raised = np.minimum(DOT_MM - gaps, -away[number])
-                depth[number] = np.maximum(depth[number], raised)
+        with_dots(depth, away, groups, self.dots_lps)
         for cut in self.cuts:
-            for number in near(cut.middle_lps[None], math.hypot(cut.radius_mm, cut.length_mm)):
+            for number in boxes_near(groups, cut.middle_lps[None], math.hypot(cut.radius_mm, cut.length_mm)):
                 depth[number] = np.minimum(depth[number], -cut.inside_mm(groups[number]))
         return depth
-
-
-def _mesh_of(solid: _Solid, airways: Airways, low: Points, high: Points, report: Any) -> Mesh:
-    """Return the closed mesh of a solid."""
-    num = np.ceil((high - low) / (SAMPLE_MM * BLOCK)).astype(int)
-    active = np.zeros(num[::-1], dtype=np.bool_)
-    block_mm = SAMPLE_MM * BLOCK
-    for branch in airways.tree.branches:
-        for point, radius in zip(branch.points, branch.radius, strict=True):
-            reach = radius + solid.wall_mm + DOT_MM + 1.5
-            first = np.maximum(np.floor((point - reach - low) / block_mm).astype(int), 0)
-            last = np.minimum(np.floor((point + reach - low) / block_mm).astype(int) + 1, num)
-            active[first[2] : last[2], first[1] : last[1], first[0] : last[0]] = True
-    inside = np.zeros(tuple(num[::-1] * BLOCK), dtype=np.bool_)
-    cell = np.stack(np.meshgrid(*(np.arange(BLOCK),) * 3, indexing="ij")[::-1], axis=-1).reshape(-1, 3)
-    blocks = np.argwhere(active)
-    for n in range(0, len(blocks), BLOCKS_AT_ONCE):
-        if report is not None:
-            report("computing the wall", n / len(blocks))
-        some = blocks[n : n + BLOCKS_AT_ONCE]
-        points = low + SAMPLE_MM * (some[:, None, ::-1] * BLOCK + cell)
-        part = (solid.inside_mm(points) > 0.0).reshape(-1, BLOCK, BLOCK, BLOCK)
-        for (k, j, i), one in zip(some * BLOCK, part, strict=True):
-            inside[k : k + BLOCK, j : j + BLOCK, i : i + BLOCK] = one
-    if not inside.any():
-        raise NoResultError("the airway lumen is empty", code="print.no-lumen")
-    matrix = np.diag([SAMPLE_MM] * 3 + [1.0])
-    matrix[:3, 3] = low
-    rough = mask_mesh(inside, matrix)
-    return Mesh(_at_the_surface(rough, solid, low), rough.triangles)
-
-
-def _at_the_surface(rough: Mesh, solid: _Solid, low: Points) -> Points:
-    """Return the vertices of a mesh of samples, each moved along its grid edge to the surface of the solid."""
-    ijk = (rough.vertices_lps - low) / SAMPLE_MM
-    halves = np.abs(ijk - np.rint(ijk)) > 0.25
-    on_edge = halves.sum(axis=1) == 1
-    lower, upper = np.floor(ijk + 1e-6), np.ceil(ijk - 1e-6)
-    a, b = np.where(halves, lower, np.rint(ijk)), np.where(halves, upper, np.rint(ijk))
-    moved = rough.vertices_lps.copy()
-    # Neighbouring vertices form groups, so that few groups are near a cut or a name.
-    cell = np.floor(ijk / BLOCK).astype(np.int64)
-    edges = np.flatnonzero(on_edge)
-    edges = edges[np.lexsort(cell[edges].T)]
-    for first in range(0, len(edges), GROUP * BLOCKS_AT_ONCE):
-        part = edges[first : first + GROUP * BLOCKS_AT_ONCE]
-        # The last group is filled with its last vertex.
-        whole = np.concatenate([part, np.repeat(part[-1:], -len(part) % GROUP)]).reshape(-1, GROUP)
-        at_a, at_b = low + SAMPLE_MM * a[part], low + SAMPLE_MM * b[part]
-        deep_a, deep_b = (solid.inside_mm(low + SAMPLE_MM * ends[whole]).reshape(-1)[: len(part)] for ends in (a, b))
-        share = deep_a / np.where(np.abs(deep_a - deep_b) < 1e-9, 1.0, deep_a - deep_b)
-        # The depth bends where two branches meet, so one step of regula falsi follows the linear estimate.
-        middle = at_a + share[:, None] * (at_b - at_a)
-        filled = np.concatenate([middle, np.repeat(middle[-1:], -len(part) % GROUP, axis=0)]).reshape(-1, GROUP, 3)
-        deep = solid.inside_mm(filled).reshape(-1)[: len(part)]
-        same = (deep > 0.0) == (deep_a > 0.0)
-        begin, end = np.where(same, share, 0.0), np.where(same, 1.0, share)
-        deep_begin, deep_end = np.where(same, deep, deep_a), np.where(same, deep_b, deep)
-        change = deep_begin - deep_end
-        share = begin + (end - begin) * deep_begin / np.where(np.abs(change) < 1e-9, 1.0, change)
-        # The limits keep neighbouring vertices apart, so that no triangle has an area of 0.
-        share = np.clip(share, 0.04, 0.96)
-        moved[part] = at_a + share[:, None] * (at_b - at_a)
-    rest = np.flatnonzero(~on_edge)
-    if len(rest):
-        # Middles of rings: the mean of the neighbours, which have moved.
-        total, count = np.zeros((len(moved), 3)), np.zeros(len(moved))
-        for first, second in itertools.permutations(range(3), 2):
-            to, of = rough.triangles[:, first], rough.triangles[:, second]
-            chosen = ~on_edge[to] & on_edge[of]
-            np.add.at(total, to[chosen], moved[of[chosen]])
-            np.add.at(count, to[chosen], 1.0)
-        known = rest[count[rest] > 0]
-        moved[known] = total[known] / count[known, None]
-    return moved
-
-
-def _largest_piece(mesh: Mesh) -> Mesh:
-    """Return the largest solid of a mesh with its cavities; solids that no airway joins are left out."""
-    labels = np.arange(len(mesh.vertices_lps))
-    while True:
-        least = labels[mesh.triangles].min(axis=1)
-        before = labels.copy()
-        for corner in range(3):
-            np.minimum.at(labels, mesh.triangles[:, corner], least)
-        labels = labels[labels]
-        if np.array_equal(labels, before):
-            break
-    owner = labels[mesh.triangles[:, 0]]
-    corners = (mesh.vertices_lps - mesh.vertices_lps.mean(axis=0))[mesh.triangles]
-    parts = np.einsum("na,na->n", corners[:, 0], np.cross(corners[:, 1], corners[:, 2]))
-    volumes = np.bincount(owner, weights=parts, minlength=len(labels))
-    largest = int(np.argmax(volumes))
-    # A narrow part of a lumen may be a separate cavity, whose surface encloses a negative volume.
-    solids = [one for one in np.unique(owner).tolist() if volumes[one] > 0.0 and one != largest]
-    boxes = [(mesh.vertices_lps[labels == one].min(axis=0), mesh.vertices_lps[labels == one].max(axis=0))
-             for one in solids]  # fmt: skip
-    kept_pieces = {largest}
-    for one in np.unique(owner).tolist():
-        point = mesh.vertices_lps[one]
-        if volumes[one] < 0.0 and not any(((point >= low) & (point <= high)).all() for low, high in boxes):
-            kept_pieces.add(one)
-    kept = mesh.triangles[np.isin(owner, list(kept_pieces))]
-    used = np.unique(kept)
-    number = np.zeros(len(labels), dtype=np.uint32)
-    number[used] = np.arange(len(used), dtype=np.uint32)
-    return Mesh(mesh.vertices_lps[used], number[kept])
-
-
-def _name_dots(airways: Airways, wall: WallField, wall_mm: float) -> tuple[Points, tuple[str, ...], tuple[str, ...]]:
-    """Return the dots (n, 3) of all names that fit, the names, and the names that do not fit."""
-    found: list[Points] = []
-    written: list[str] = []
-    left_out: list[str] = []
-    for branch in airways.tree.branches:
-        if branch.name is None or branch.name in written:
-            continue
-        dots = _dots_on(branch, wall, wall_mm)
-        if dots is None:
-            left_out.append(branch.name)
-        else:
-            found.append(dots)
-            written.append(branch.name)
-    every = np.concatenate(found) if found else np.empty((0, 3))
-    return every, tuple(written), tuple(dict.fromkeys(one for one in left_out if one not in written))
-
-
-def _dots_on(branch: Branch, wall: WallField, wall_mm: float) -> Points | None:
-    """Return the dots of a branch's name on its outer surface, (n, 3) LPS mm; None if the name does not fit."""
-    dots = text_dots(str(branch.name))
-    rows, columns = np.nonzero(dots)
-    length = dots.shape[1] * DOT_PITCH_MM
-    steps = np.linalg.norm(np.diff(branch.points, axis=0), axis=1)
-    along = np.concatenate([[0.0], np.cumsum(steps)])
-    middle_mm = 0.5 * float(along[-1])
-    outer = float(np.median(branch.radius)) + wall_mm
-    # Half of the circumference is visible from one side.
-    if length > along[-1] - 2.0 or dots.shape[0] * DOT_PITCH_MM > 2.0 * outer:
-        return None
-    at = middle_mm - 0.5 * length + (columns + 0.5) * DOT_PITCH_MM
-    line = np.stack([np.interp(at, along, branch.points[:, axis]) for axis in range(3)], axis=1)
-    ahead = np.stack([np.interp(at + 1.0, along, branch.points[:, axis]) for axis in range(3)], axis=1)
-    behind = np.stack([np.interp(at - 1.0, along, branch.points[:, axis]) for axis in range(3)], axis=1)
-    tangent = ahead - behind
-    tangent /= np.maximum(np.linalg.norm(tangent, axis=1, keepdims=True), 1e-9)
-    for turn in range(12):
-        # The first choice is the front, as a person looks at the model.
-        side = np.array([math.sin(turn * math.pi / 6.0), -math.cos(turn * math.pi / 6.0), 0.0])
-        out = side - (tangent @ side)[:, None] * tangent
-        lengths = np.linalg.norm(out, axis=1, keepdims=True)
-        if lengths.min() < 0.3:
-            continue
-        out /= lengths
-        up = np.cross(out, tangent)
-        angle = (rows - 0.5 * (dots.shape[0] - 1)) * DOT_PITCH_MM / outer
-        ray = np.cos(angle)[:, None] * out + np.sin(angle)[:, None] * up
-        placed = _outer_points(line, ray, wall, wall_mm, outer)
-        if placed is not None:
-            return placed
-    return None
-
-
-def _outer_points(line: Points, ray: Points, wall: WallField, wall_mm: float, outer_mm: float) -> Points | None:
-    """Return where rays from a centreline leave the wall; None if one does not, near the expected distance."""
-    reach = np.arange(0.0, outer_mm + 3.0, 0.1)
-    points = line[:, None] + reach[None, :, None] * ray[:, None]
-    away = wall.distance_mm(points.reshape(-1, 3)).reshape(len(line), len(reach))
-    beyond = away < -wall_mm
-    if not beyond.any(axis=1).all():
-        return None
-    first = np.argmax(beyond, axis=1)
-    places = reach[first]
-    if np.abs(places - np.median(places)).max() > 1.5:
-        return None
-    # Nothing else may be close behind the surface, because the letters would merge with it.
-    free = wall.distance_mm(line + (places + 1.0)[:, None] * ray)
-    if (free > -min(2.45, wall_mm + 0.2)).any():
-        return None
-    found: Points = line + places[:, None] * ray
-    return found

@@ -125,13 +125,22 @@ def trilinear(hu_zyx: NDArray[Any], ijk: NDArray[np.float64]) -> NDArray[np.floa
     return total
 
 
-def smoothed(values: Values, sigma_vox: float) -> Values:
-    """Smooth values by a Gaussian of ``sigma_vox`` voxels; the values of the edge are repeated outside."""
-    reach = max(int(np.ceil(3.0 * sigma_vox)), 1)
-    kernel = np.exp(-0.5 * (np.arange(-reach, reach + 1) / sigma_vox) ** 2)
-    kernel /= kernel.sum()
+def smoothed(values: Values, sigma_vox: float | tuple[float, float, float]) -> Values:
+    """Smooth values by a Gaussian of ``sigma_vox`` voxels; the values of the edge are repeated outside.
+
+    Parameters
+    ----------
+    values
+        (nz, ny, nx) values.
+    sigma_vox
+        Standard deviation in voxels, one for all axes or one for each of z, y and x.
+    """
+    sigmas = (sigma_vox,) * 3 if isinstance(sigma_vox, float | int) else sigma_vox
     out = values
-    for axis in range(3):
+    for axis, sigma in enumerate(sigmas):
+        reach = max(int(np.ceil(3.0 * sigma)), 1)
+        kernel = np.exp(-0.5 * (np.arange(-reach, reach + 1) / sigma) ** 2)
+        kernel /= kernel.sum()
         pad = [(reach, reach) if a == axis else (0, 0) for a in range(3)]
         wide = np.pad(out, pad, mode="edge")
         num = out.shape[axis]

@@ -1,7 +1,7 @@
 """Blur and noise of a part of a CT, measured on its own edges and soft tissue, for structures that are inserted.
 
-The blur is the median profile of edges between lung and soft tissue, along each axis of the voxels; the noise is the
-power spectrum of homogeneous soft tissue in the slices, and its correlation between slices.
+The blur is the median profile of edges between lung and soft tissue, along each axis of the voxels. The noise is the
+autocovariance of homogeneous soft tissue over all three axes, which determines its power at all frequencies.
 """
 
 from __future__ import annotations
@@ -25,8 +25,12 @@ SIDE_MM = 2.4
 """Distance in mm from an edge over which both sides must be homogeneous."""
 SIDE_SPREAD_HU = 90.0
 """Largest standard deviation in HU of one side of an edge, above that of the noise."""
-MAX_SLOPE_ACROSS = 0.3
-"""Largest slope across the axis of an edge, as a share of the slope along the axis."""
+MAX_SLOPE_ACROSS, MAX_TILT_MM = 0.3, 0.2
+"""Largest slope across the axis of an edge, as a share of the slope along the axis, and largest shift of the edge in mm
+between neighbouring voxels across the axis.
+
+The blur across thick slices widens the profile of an oblique edge in the slice.
+"""
 LEAST_EDGES = 40
 BIN_MM = 0.1
 SIGMAS_MM = np.arange(0.15, 2.01, 0.025)
@@ -37,14 +41,26 @@ CLEARLY_BETTER = 0.7
 """Largest ratio of the squared errors of two fits with which a larger gain is chosen."""
 SURROUND_MM = 0.65
 """Standard deviation in mm of the second Gaussian of the overshoot, added in quadrature."""
-PATCH = 12
-"""Side in pixels of a patch on which the noise is measured."""
 FLAT_HU = (-30.0, 140.0)
-"""Range in HU of smoothed values in a patch of soft tissue."""
-FLAT_SPREAD_HU = 60.0
-"""Largest range in HU of smoothed values in a patch."""
-LEAST_PATCHES = 8
-MAX_PATCHES = 400
+"""Range in HU of smoothed values of homogeneous soft tissue."""
+SOFTEN_MM = 0.9
+"""Standard deviation in mm of the smoothing before soft tissue is selected."""
+MARGIN_MM, NEAR_LUNG_MM = 2.5, 18.0
+"""Least distance in mm of soft tissue from other tissue, and largest distance from lung.
+
+The noise of shoulders and spine differs from that at the lung.
+"""
+TREND_MM = 9.0
+"""Standard deviation in mm of the local mean that is subtracted from soft tissue: anatomy, not noise."""
+LOCAL_MM = 4.0
+"""Standard deviation in mm of the window in which the local deviation is measured."""
+LAG_MM = 6.0
+"""Largest distance in mm of two voxels whose covariance is measured; beyond one half of it the covariance fades."""
+MOST_SPREAD = 4.0
+"""Largest deviation from the local mean, in standard deviations; calcifications and strands of fat are left out."""
+LEAST_VOXELS = 1500
+SLAB = 48
+"""Number of slices that are transformed together."""
 _ERF = np.vectorize(math.erf, otypes=[np.float64])
 
 
@@ -59,30 +75,33 @@ class CtTexture:
     """Weight of the difference of Gaussians in the slices (i, j); 0 for a kernel without overshoot."""
     noise_hu: float
     """Standard deviation of the noise in soft tissue, HU."""
-    power: Floats
-    """(n,) mean power of the noise at ``frequency``, in the slices."""
-    frequency: Floats
-    """(n,) frequencies in cycles per pixel, ascending."""
-    between_slices: float
-    """Correlation of the noise of neighbouring slices."""
+    covariance_zyx: Floats
+    """(2c+1, 2b+1, 2a+1) covariance in HU2 of two voxels by their distance; the middle is the variance."""
     num_edges: tuple[int, int, int]
-    num_patches: int
+    num_voxels: int
+    """Number of voxels of soft tissue in which the noise was measured."""
 
     def noise(self, shape_zyx: tuple[int, int, int], seed: int) -> Values:
-        """Return noise (nz, ny, nx) in HU with the measured spectrum and standard deviation."""
+        """Return Gaussian noise (nz, ny, nx) in HU with the measured covariance."""
         rng = np.random.default_rng([seed, 46])
+        reach = [n // 2 for n in self.covariance_zyx.shape]
+        # The margin keeps opposite faces of the periodic noise independent.
+        wide = [n + 2 * far for n, far in zip(shape_zyx, reach, strict=True)]
+        power = self._power(wide)
+        grains = np.fft.irfftn(np.fft.rfftn(rng.standard_normal(wide)) * np.sqrt(power), s=wide, axes=(0, 1, 2))
         nz, ny, nx = shape_zyx
-        wide = (ny + 2 * PATCH, nx + 2 * PATCH)
-        white = rng.standard_normal((nz + 8, *wide))
-        fy, fx = np.fft.fftfreq(wide[0])[:, None], np.fft.rfftfreq(wide[1])[None, :]
-        amplitude = np.sqrt(np.interp(np.hypot(fy, fx), self.frequency, self.power))
-        grains = np.fft.irfft2(np.fft.rfft2(white, axes=(1, 2)) * amplitude, s=wide, axes=(1, 2))
-        if self.between_slices > 0.02:
-            # Noise that a Gaussian of s slices smooths has the correlation exp(-1 / (4 s^2)) between neighbours.
-            grains = _along_first(grains, 0.5 / math.sqrt(-math.log(min(self.between_slices, 0.95))))
-        grains = grains[4 : 4 + nz, PATCH : PATCH + ny, PATCH : PATCH + nx]
-        # The standard deviation of the whole is exact, whatever the filters do to it.
-        return np.asarray(grains * (self.noise_hu / max(float(grains.std()), 1e-9)), dtype=np.float32)
+        return np.asarray(grains[:nz, :ny, :nx], dtype=np.float32)
+
+    def _power(self, wide_zyx: list[int]) -> Floats:
+        """Return the power of each frequency of a periodic grid, the Fourier transform of the covariance."""
+        around = np.zeros(wide_zyx)
+        reach = [n // 2 for n in self.covariance_zyx.shape]
+        around[tuple(slice(0, n) for n in self.covariance_zyx.shape)] = self.covariance_zyx
+        around = np.roll(around, [-far for far in reach], axis=(0, 1, 2))
+        power = np.fft.rfftn(around).real.clip(0.0)
+        total = np.fft.irfftn(power, s=wide_zyx, axes=(0, 1, 2))[0, 0, 0]
+        # An estimated covariance has some negative power, without which the variance would be too large.
+        return np.asarray(power * (self.noise_hu**2 / max(float(total), 1e-9)))
 
 
 def measured_texture(
@@ -107,11 +126,12 @@ def measured_texture(
     values = hu_zyx.astype(np.float32)
     wider = values if wider_zyx is None else wider_zyx.astype(np.float32)
     try:
-        noise_hu, power, frequency, between, num_patches = _noise(values)
+        covariance, num_voxels = _covariance(values, spacing_mm)
     except NoResultError:
         if wider_zyx is None:
             raise
-        noise_hu, power, frequency, between, num_patches = _noise(wider)
+        covariance, num_voxels = _covariance(wider, spacing_mm)
+    noise_hu = math.sqrt(float(covariance.max()))
     edges = []
     for axis in range(3):
         found = _edge_profile(values, axis, spacing_mm, noise_hu)
@@ -131,9 +151,8 @@ def measured_texture(
     sigma_i, sigma_j = (_fit(*edge[:2], gains=(gain,))[0] for edge in edges[:2])
     counts = tuple(len(at) for at, _ in edges)
     return CtTexture(
-        (sigma_i, sigma_j, across[0]), gain, noise_hu, power, frequency, between,
-        (counts[0], counts[1], counts[2]), num_patches,
-    )  # fmt: skip
+        (sigma_i, sigma_j, across[0]), gain, noise_hu, covariance, (counts[0], counts[1], counts[2]), num_voxels
+    )
 
 
 def _edge_profile(
@@ -149,6 +168,7 @@ def _edge_profile(
     slopes = [np.gradient(np.moveaxis(soft, 2 - axis_ijk, -1), axis=n) for n in range(3)]
     order = [a for a in (2, 1, 0) if a != axis_ijk]
     slopes[0], slopes[1] = (slopes[n] * step / spacing_mm[a] for n, a in enumerate(order))
+    limits = [min(MAX_SLOPE_ACROSS, MAX_TILT_MM / spacing_mm[a]) for a in order]
     size = along.shape[-1]
     if size < 2 * half + 3:
         return np.empty(0), np.empty(0)
@@ -157,7 +177,7 @@ def _edge_profile(
     peak = (rise[..., middle] >= rise[..., half - 1 : size - half - 1]) & (
         rise[..., middle] > rise[..., half + 1 : size - half + 1]
     )
-    straight = np.hypot(slopes[0], slopes[1])[..., middle] < MAX_SLOPE_ACROSS * rise[..., middle]
+    straight = np.hypot(slopes[0] / limits[0], slopes[1] / limits[1])[..., middle] < rise[..., middle]
     at = np.argwhere(peak & straight & (rise[..., middle] > 60.0))
     if len(at) == 0:
         return np.empty(0), np.empty(0)
@@ -213,56 +233,80 @@ def edge_shares(x_mm: Floats, sigma_mm: float, gain: float) -> Floats:
     return np.asarray(narrow + gain * (narrow - wide))
 
 
-def _noise(values: Values) -> tuple[float, Floats, Floats, float, int]:
-    """Return standard deviation, power by frequency, correlation between slices, and the number of patches."""
-    soft = smoothed(values, 1.5)
-    nz, ny, nx = values.shape
-    y, x = np.mgrid[0:PATCH, 0:PATCH].reshape(2, -1) / PATCH - 0.5
-    plain = np.stack([np.ones_like(x), x, y, x * y, x * x, y * y], axis=1)
-    remove = np.eye(PATCH * PATCH) - plain @ np.linalg.pinv(plain)
-    window = np.hanning(PATCH + 2)[1:-1]
-    window2 = np.outer(window, window)
-    fy, fx = np.fft.fftfreq(PATCH)[:, None], np.fft.fftfreq(PATCH)[None, :]
-    rings = np.round(np.hypot(fy, fx) * PATCH).astype(int)
-    residuals: list[Floats] = []
-    pairs: list[float] = []
-    for k in range(nz):
-        for j in range(0, ny - PATCH + 1, PATCH // 2):
-            for i in range(0, nx - PATCH + 1, PATCH // 2):
-                part = soft[k, j : j + PATCH, i : i + PATCH]
-                low, high = float(part.min()), float(part.max())
-                if low < FLAT_HU[0] or high > FLAT_HU[1] or high - low > FLAT_SPREAD_HU:
-                    continue
-                one = remove @ values[k, j : j + PATCH, i : i + PATCH].reshape(-1).astype(np.float64)
-                residuals.append(one)
-                if k + 1 < nz:
-                    other = remove @ values[k + 1, j : j + PATCH, i : i + PATCH].reshape(-1).astype(np.float64)
-                    pairs.append(float(one @ other / max(math.sqrt((one @ one) * (other @ other)), 1e-9)))
-    if len(residuals) < LEAST_PATCHES:
+def _covariance(values: Values, spacing_mm: tuple[float, float, float]) -> tuple[Floats, int]:
+    """Return the covariance (2c+1, 2b+1, 2a+1) of two voxels of soft tissue by their distance, and the voxel count."""
+    spacing_zyx = spacing_mm[::-1]
+    mask = _soft_tissue(values, spacing_zyx)
+    lags = [max(1, math.floor(LAG_MM / one)) for one in spacing_zyx]
+    trend = _spread_in(spacing_zyx, TREND_MM)
+    weight = smoothed(mask.astype(np.float32), trend)
+    mean = smoothed(np.where(mask, values, np.float32(0.0)), trend) / np.maximum(weight, np.float32(1e-3))
+    rest = np.where(mask, values - mean, np.float32(0.0)).astype(np.float64)
+    if mask.any():
+        spread = 1.4826 * float(np.median(np.abs(rest[mask])))
+        mask &= np.abs(rest) <= MOST_SPREAD * max(spread, 1.0)
+        rest *= mask
+    num = int(mask.sum())
+    if num < LEAST_VOXELS:
         raise NoResultError(
-            f"measuring the noise of the CT: expected at least {LEAST_PATCHES} patches of homogeneous soft tissue near "
-            f"the position; found {len(residuals)}; choose another position",
+            f"measuring the noise of the CT: expected at least {LEAST_VOXELS} voxels of homogeneous soft tissue near "
+            f"the position; found {num}; choose another position",
             code="insert.no-noise",
         )
-    chosen = np.array(residuals)[np.linspace(0, len(residuals) - 1, min(len(residuals), MAX_PATCHES)).astype(int)]
-    spread = chosen.std(axis=1)
-    # A detrended patch lacks the part of the noise that the six terms of the trend explain.
-    full = math.sqrt(PATCH * PATCH / (PATCH * PATCH - 6.0))
-    noise_hu = full * float(np.median(spread))
-    near = spread <= 1.5 * float(np.median(spread))
-    spectra = np.abs(np.fft.fft2(chosen[near].reshape(-1, PATCH, PATCH) * window2)) ** 2
-    mean = spectra.mean(axis=0)
-    top = PATCH // 2
-    power = np.array([mean[rings == n].mean() for n in range(1, top + 1)] + [mean[rings > top].mean()])
-    frequency = np.array([*(np.arange(1, top + 1) / PATCH), 0.6])
-    return noise_hu, power, frequency, float(np.median(pairs)) if pairs else 0.0, len(residuals)
+    # Streaks and other places of strong noise would determine a mean of all; each place counts alike.
+    near = _spread_in(spacing_zyx, LOCAL_MM)
+    square = smoothed(np.square(rest).astype(np.float32), near)
+    local = np.sqrt(square / np.maximum(smoothed(mask.astype(np.float32), near), np.float32(1e-3)))
+    typical = float(np.median(local[mask]))
+    rest = np.where(mask, rest / np.maximum(local, 0.1 * typical), 0.0)
+    total, count = (np.zeros([2 * lag + 1 for lag in lags]) for _ in range(2))
+    for first in range(0, len(values), SLAB):
+        part = slice(first, first + SLAB)
+        total += _pair_sums(rest[part], lags)
+        count += _pair_sums(mask[part].astype(np.float64), lags)
+    covariance = total / np.maximum(count, 1.0)
+    covariance *= typical**2 / max(float(covariance.max()), 1e-9)
+    away = np.sqrt(sum((np.arange(-lag, lag + 1) * one).reshape([-1 if a == axis else 1 for a in range(3)]) ** 2
+                       for axis, (lag, one) in enumerate(zip(lags, spacing_zyx, strict=True))))  # fmt: skip
+    fade = np.clip((LAG_MM - away) / (0.5 * LAG_MM), 0.0, 1.0)
+    # Far lags are few pairs, or what the local mean left of the anatomy.
+    covariance *= 0.5 - 0.5 * np.cos(math.pi * fade)
+    return np.where(count >= 0.02 * num, covariance, 0.0), num
 
 
-def _along_first(values: Floats, sigma: float) -> Floats:
-    """Return values smoothed along the first axis by a Gaussian, with periodic ends."""
-    reach = max(1, math.ceil(3.0 * sigma))
-    weights = np.exp(-0.5 * (np.arange(-reach, reach + 1) / sigma) ** 2)
-    found = np.zeros_like(values)
-    for shift, weight in zip(range(-reach, reach + 1), weights, strict=True):
-        found += weight * np.roll(values, shift, axis=0)
-    return found / math.sqrt(float(np.square(weights).sum()))
+def _soft_tissue(values: Values, spacing_zyx: tuple[float, ...]) -> NDArray[np.bool_]:
+    """Return the mask of homogeneous soft tissue that is near the lung, without its boundaries."""
+    soft = smoothed(values, _spread_in(spacing_zyx, SOFTEN_MM))
+    flat = (soft > FLAT_HU[0]) & (soft < FLAT_HU[1])
+    lung = (soft > LUNG_HU[0]) & (soft < LUNG_HU[1])
+    flat = ~_grown(~flat, spacing_zyx, MARGIN_MM)
+    found: NDArray[np.bool_] = flat & _grown(lung, spacing_zyx, NEAR_LUNG_MM)
+    return found
+
+
+def _spread_in(spacing_zyx: tuple[float, ...], sigma_mm: float) -> tuple[float, float, float]:
+    """Return a standard deviation in voxels along z, y and x."""
+    z, y, x = (max(sigma_mm / one, 0.1) for one in spacing_zyx)
+    return z, y, x
+
+
+def _grown(mask: NDArray[np.bool_], spacing_zyx: tuple[float, ...], reach_mm: float) -> NDArray[np.bool_]:
+    """Return a mask and all voxels of the boxes of twice the reach around its voxels."""
+    found = mask
+    for axis, one in enumerate(spacing_zyx):
+        reach = max(1, round(reach_mm / one))
+        # Sums along the axis count the mask in a window.
+        pad = [(reach + 1, reach) if a == axis else (0, 0) for a in range(3)]
+        sums = np.cumsum(np.pad(found.astype(np.int32), pad), axis=axis)
+        high, low = (np.take(sums, np.arange(start, start + mask.shape[axis]), axis=axis) for start in
+                     (2 * reach + 1, 0))  # fmt: skip
+        found = high > low
+    return found
+
+
+def _pair_sums(values: Floats, lags: list[int]) -> Floats:
+    """Return the sums of the products of all pairs of values by their distance, (2c+1, 2b+1, 2a+1)."""
+    wide = [n + lag for n, lag in zip(values.shape, lags, strict=True)]
+    sums = np.fft.irfftn(np.abs(np.fft.rfftn(values, s=wide, axes=(0, 1, 2))) ** 2, s=wide, axes=(0, 1, 2))
+    sums = np.roll(sums, lags, axis=(0, 1, 2))
+    return np.asarray(sums[tuple(slice(0, 2 * lag + 1) for lag in lags)])

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -54,22 +55,8 @@ class NoduleShape:
         seed
             Seed of the directions and sizes.
         """
-        rng = np.random.default_rng([seed, 45])
-        num = round(MAX_SPICULES * spiculation)
-        one = cls(
-            1.0,
-            _directions(rng, LOBES),
-            LOBE_SHARE * spiculation * rng.uniform(0.3, 1.0, LOBES),
-            _directions(rng, num),
-            rng.uniform(*SPICULE_LENGTH, num),
-        )
-        return cls(
-            diameter_mm / 2.0 * (4.0 / 3.0 * math.pi / one._unit_volume()) ** (1.0 / 3.0),
-            one.lobes,
-            one.lobe_heights,
-            one.spicules,
-            one.spicule_lengths,
-        )
+        one = _unit_shape(float(spiculation), int(seed))
+        return cls(diameter_mm / 2.0 * one.radius_mm, one.lobes, one.lobe_heights, one.spicules, one.spicule_lengths)
 
     @property
     def reach_mm(self) -> float:
@@ -112,6 +99,23 @@ class NoduleShape:
             y, x = np.meshgrid(at, at, indexing="ij")
             inside += int(np.count_nonzero(self.contains(np.stack([x, y, np.full_like(x, z)], axis=-1))))
         return inside / CELLS**3
+
+
+@lru_cache(maxsize=64)
+def _unit_shape(spiculation: float, seed: int) -> NoduleShape:
+    """Return the shape of a seed with the volume of a ball of radius 1 mm; the cache saves the count of its cells."""
+    rng = np.random.default_rng([seed, 45])
+    num = round(MAX_SPICULES * spiculation)
+    one = NoduleShape(
+        1.0,
+        _directions(rng, LOBES),
+        LOBE_SHARE * spiculation * rng.uniform(0.3, 1.0, LOBES),
+        _directions(rng, num),
+        rng.uniform(*SPICULE_LENGTH, num),
+    )
+    if spiculation == 0.0:
+        return one
+    return replace(one, radius_mm=(4.0 / 3.0 * math.pi / one._unit_volume()) ** (1.0 / 3.0))
 
 
 def _directions(rng: np.random.Generator, num: int) -> Points:
