@@ -43,7 +43,12 @@ class Settings:
     cases_dir: Path
     """Folder of the user's cases, which are never deleted automatically."""
     learners_dir: Path
-    """Folder of the learners of the training's course and of their attempts."""
+    """Folder of the learners of the training's course and of their attempts: ``CARINA_LEARNERS_DIR``, else local.
+
+    Several machines of a classroom may use one folder on a file server.
+    """
+    tasks_dir: Path
+    """Folder of the tasks of the training that teachers write."""
     documents_dir: Path
     """Suggested folder for copies of a case."""
     state_dir: Path
@@ -83,6 +88,7 @@ def load_settings(environ: Mapping[str, str] | None = None) -> Settings:
         msg = f"CARINA_BACKEND must be one of {', '.join(BACKENDS)}; found {backend!r}"
         raise UsageError(msg, code="usage.backend")
     data_dir = values.get("CARINA_DATA_DIR", "").strip()
+    learners = values.get("CARINA_LEARNERS_DIR", "").strip()
     dirs = platformdirs.PlatformDirs("carina", appauthor=False)
     return Settings(
         log_level=level,
@@ -90,7 +96,8 @@ def load_settings(environ: Mapping[str, str] | None = None) -> Settings:
         backend=backend,
         config_dir=dirs.user_config_path,
         cases_dir=dirs.user_data_path / "cases",
-        learners_dir=dirs.user_data_path / "learners",
+        learners_dir=Path(learners).expanduser() if learners else dirs.user_data_path / "learners",
+        tasks_dir=dirs.user_data_path / "tasks",
         documents_dir=dirs.user_documents_path,
         state_dir=dirs.user_state_path,
         cache_dir=dirs.user_cache_path,

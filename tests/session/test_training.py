@@ -20,9 +20,7 @@ from carina.commands import (
     RepeatQuestion,
     ScoreFlight,
     ScoreOf,
-    SetMode,
     SetOperator,
-    SetScope,
     StartQuiz,
     StartTask,
     Steer,
@@ -156,25 +154,6 @@ def test_attempt_that_is_ended_during_a_pause_releases_the_tip(workstation):
     before = workstation.session.pose_info().pose
     workstation.session.do(Steer(2.0, 0.0, 0.0, 0.0))
     assert workstation.session.pose_info().pose is not before
-
-
-@pytest.mark.parametrize(
-    ("end", "reason"),
-    [
-        (lambda session: session.do(SetMode("free")), "the scope was taken out of the airways"),
-        (lambda session: session.do(StopRecording()), "the recording was stopped"),
-        (lambda session: session.do(SetScope("ultrathin")), "the instrument was changed"),
-    ],
-)
-def test_task_that_ends_for_another_reason_is_scored_and_does_not_count(workstation, end, reason):
-    workstation.start("inspect-all")
-    workstation.advance_tip(20.0)
-    end(workstation.session)
-    assert not workstation.follow(0.2)
-    assert any(reason in one.message for one in workstation.messages)
-    assert workstation.info.running is None
-    (score,) = workstation.scored()
-    assert any("cut off" in words or "early" in words for words in score.doubts)
 
 
 def test_task_is_refused_during_a_recording_and_in_an_unsuitable_case(workstation, monkeypatch):

@@ -97,6 +97,8 @@ export interface Upload {
 /** State of the user interface that the server does not know. */
 export interface Ui {
   readonly step: Step;
+  /** Whether a voice of this computer speaks the feedback of an attempt. */
+  readonly voiceOn: boolean;
   readonly full: CellName | null;
   /** The view that each cell of the window shows. */
   readonly shown: ShownViews;
@@ -314,6 +316,7 @@ export const INITIAL_STATE: AppState = {
   speedMmS: null,
   ui: {
     step: "open",
+    voiceOn: false,
     full: null,
     shown: FIRST_SHOWN,
     sideBySide: false,
@@ -546,6 +549,9 @@ function trainingChanged(state: AppState, training: TrainingMessage): AppState {
     // The layout of an attempt or a quiz contains the airway view, which a full view of another picture would replace.
     full: begins ? null : state.ui.full,
     tourAt: begins ? null : state.ui.tourAt,
+    // A page that was reloaded, or another window, shows the step of the attempt, also after its end.
+    step: begins ? "train" : state.ui.step,
+    panel: begins ? panelOf("train") : state.ui.panel,
   };
   return { ...state, training, ui };
 }
