@@ -187,12 +187,13 @@ def test_teacher_follows_three_learners_and_sees_their_scores(host, workstation,
     url = page.get_by_test_id("watch-url").inner_text()
     watcher.page.goto(url)
     watcher.wait_ready()
-    watcher.page.get_by_test_id("watched-training").wait_for()
+    watcher.page.get_by_test_id("watched-training").wait_for(state="attached")
     assert "heron" not in watcher.page.content(), "learners are not shared unless the user shares them"
     assert watcher.state("training.classroom") == []
     page.get_by_test_id("watch-learners").click()
     workstation.wait_for("window.__carina.state.watching.page.learners === true")
     watcher.wait_for("window.__carina.state.training.classroom.length === 3")
+    watcher.page.get_by_test_id("classroom").wait_for()
     page.get_by_test_id("watch-learners").scroll_into_view_if_needed()
     workstation.picture("journey-share-learners")
     page.get_by_test_id("open-devices").click()

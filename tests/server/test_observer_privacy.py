@@ -212,7 +212,7 @@ def test_teacher_receives_pseudonyms_only_while_the_user_shares_the_learners(sha
         window.send(wire.SetWatchPage(on=True, learners=True))
         assert page_of(window, lambda one: one is not None and one.learners).url == page.url, "the link is unchanged"
         shown = watcher.until(lambda m: isinstance(m, wire.TrainingMessage) and m.classroom)
-        assert [(one.name, one.attempts) for one in shown.classroom] == [("Blue heron", ())]
+        assert [(one.learner.name, one.attempts) for one in shown.classroom] == [("Blue heron", ())]
         assert not shown.course.stores
         assert (shown.task_folder, shown.task_problems) == (None, ())
         # Another process adds a learner to the folder, which the server reads again by itself.

@@ -344,6 +344,7 @@ def test_tasks_of_teachers_are_listed_and_started_and_invalid_files_state_their_
     assert (score.task, score.task_title) == ("my-task", "Find RB6 my way")
     # The flight states its task, so that it can be scored after the file was deleted.
     (folder / "mine.json").unlink()
+    (folder / "same.json").unlink()
     session.do(ReadTrainingFiles())
     assert not any(one.is_own for one in workstation.info.tasks)
     session.do(ScoreFlight(score.flight))

@@ -72,7 +72,7 @@ function Classroom({ learners, running }: { learners: readonly ClassLearner[]; r
     <div data-testid="classroom">
       <h3>Learners</h3>
       <ul className="key-list" aria-label="Learners">
-        {learners.map(({ name, verdict, attempts }) => (
+        {learners.map(({ learner: { name, verdict }, attempts }) => (
           <li key={name} className="key task" data-testid="class-learner">
             <strong>{name}</strong>
             {name === running ? <span className="quiet">, flying now</span> : null}

@@ -542,6 +542,8 @@ function trainingChanged(state: AppState, training: TrainingMessage): AppState {
   const begins = !wasBusy && (training.running !== null || training.quiz !== null);
   const awaited = training.running === null && before !== null ? before.flight : state.ui.awaitedScore;
   const isScored = awaited !== null && training.scores.some((score) => score.flight === awaited);
+  // A teacher's page shows the learners as soon as they are shared.
+  const isTeacher = training.classroom.length > 0 && (state.training?.classroom ?? []).length === 0;
   const ui: Ui = {
     ...state.ui,
     awaitedScore: isScored || training.running !== null ? null : awaited,
@@ -551,7 +553,7 @@ function trainingChanged(state: AppState, training: TrainingMessage): AppState {
     tourAt: begins ? null : state.ui.tourAt,
     // A page that was reloaded, or another window, shows the step of the attempt, also after its end.
     step: begins ? "train" : state.ui.step,
-    panel: begins ? panelOf("train") : state.ui.panel,
+    panel: begins || isTeacher ? panelOf("train") : state.ui.panel,
   };
   return { ...state, training, ui };
 }

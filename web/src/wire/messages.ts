@@ -2097,8 +2097,7 @@ export interface CourseInfo {
 
 /** A learner in the teacher's view. */
 export interface ClassLearner {
-  readonly name: string;
-  readonly verdict: string;
+  readonly learner: LearnerInfo;
   readonly attempts: readonly CourseAttemptInfo[];
 }
 

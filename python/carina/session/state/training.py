@@ -227,9 +227,7 @@ class CourseInfo(FrozenValue, frozen=True):
 class ClassLearner(FrozenValue, frozen=True):
     """A learner in the teacher's view."""
 
-    name: OwnName
-    """Pseudonym."""
-    verdict: Words
+    learner: LearnerInfo
     attempts: tuple[CourseAttemptInfo, ...]
     """The latest attempts, the oldest first."""
 

@@ -159,10 +159,7 @@ class CourseHandlers(CommandHandlers):
     def classroom(self, _question: c.ClassroomOf) -> tuple[ClassLearner, ...]:
         """Return all learners with their latest attempts, for a teacher."""
         with self.core.lock:
-            return tuple(
-                ClassLearner(one.name, self._summary(one).verdict, _attempts(one)[-CLASS_ATTEMPTS:])
-                for one in self._learners()
-            )
+            return tuple(ClassLearner(self._summary(one), _attempts(one)[-CLASS_ATTEMPTS:]) for one in self._learners())
 
     def info(self) -> CourseInfo:
         """Return the learners, and the attempts of the chosen one; the caller holds the session's lock."""

@@ -84,7 +84,7 @@ function OwnTasks({ folder, problems }: { folder: string | null; problems: reado
   const station = useStation();
   if (folder === null) return null;
   return (
-    <div data-testid="own-tasks">
+    <div className="own-tasks" data-testid="own-tasks">
       <div className="row">
         <Act
           label="Read own tasks again"
