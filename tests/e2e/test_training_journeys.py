@@ -199,12 +199,13 @@ def test_teacher_follows_three_learners_and_sees_their_scores(host, workstation,
     page.get_by_test_id("open-devices").click()
     start(page, "find-rb6")
     watcher.wait_for("window.__carina.state.training.running?.learner === 'Red kite'")
+    watcher.wait_for("window.__carina.state.training.classroom[2].running?.startsWith('Find RB6: 0 of 1') === true")
     workstation.hold_until("w", "() => window.__carina.state.pose.scope.insertion_mm > 30")
     workstation.wait_still()
     watcher.wait_still()
     texts = watcher.page.get_by_test_id("class-learner").all_inner_texts()
-    assert [text.splitlines()[0].split(",")[0] for text in texts] == ["Blue heron", "Grey wagtail", "Red kite"]
-    assert "flying now" in texts[2]
+    assert [text.splitlines()[0] for text in texts] == ["Blue heron", "Grey wagtail", "Red kite"]
+    assert "Flying now: Find RB6: 0 of 1 steps" in texts[2]
     assert "of 1 steps" in texts[0]
     for name, size in (("large", LARGE), ("small", SMALL), ("tablet", TABLET)):
         watcher.page.set_viewport_size(size)

@@ -373,12 +373,16 @@ def drive_optimally(session: Session, clock: ScriptedClock, offset_mm: float) ->
     script.start()
     made = TrainingCase("window", 0, case.info.volume, airways.tree, wall.field, parts)
     drive(script, made, np.random.default_rng(1))
+
+    def place(pose: Pose, *_amounts: float, **_times: float) -> None:
+        case.navigator._pose = pose
+
     for matrix in script.poses:
         with core.lock:
             clock.ahead_s += STEP_S
             pose = Pose(matrix)
             navigator = case.navigator
-            navigator.steer = lambda pose=pose, **_amounts: setattr(case.navigator, "_pose", pose)  # type: ignore[method-assign]
+            navigator.steer = partial(place, pose)  # type: ignore[method-assign]
             session.do(Steer(0.1, 0.0, 0.0, 0.0))
             del navigator.steer
     return len(script.poses)

@@ -256,6 +256,11 @@ class Course:
         """Return the number of learners."""
         return f"Course({len(self.learners())} learners)"
 
+    @property
+    def folder(self) -> Path:
+        """Folder of the files."""
+        return self._folder
+
     def learners(self) -> tuple[Learner, ...]:
         """Return the learners in the order of their names, without those of damaged files."""
         return tuple(sorted((one for _, one in self._read()[0]), key=lambda one: one.name.casefold()))

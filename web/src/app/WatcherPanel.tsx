@@ -47,7 +47,7 @@ function WatchedTraining() {
           </p>
         </>
       )}
-      <Classroom learners={classroom} running={attempt?.running.learner ?? null} />
+      <Classroom learners={classroom} />
       {scores.length === 0 ? null : <h3>Scores of this case</h3>}
       <ul className="key-list" aria-label="Scores">
         {scores.map((score) => (
@@ -66,16 +66,16 @@ function WatchedTraining() {
 }
 
 /** Render all learners with their latest attempts. */
-function Classroom({ learners, running }: { learners: readonly ClassLearner[]; running: string | null }) {
+function Classroom({ learners }: { learners: readonly ClassLearner[] }) {
   if (learners.length === 0) return null;
   return (
     <div data-testid="classroom">
       <h3>Learners</h3>
       <ul className="key-list" aria-label="Learners">
-        {learners.map(({ learner: { name, verdict }, attempts }) => (
+        {learners.map(({ learner: { name, verdict }, attempts, running }) => (
           <li key={name} className="key task" data-testid="class-learner">
             <strong>{name}</strong>
-            {name === running ? <span className="quiet">, flying now</span> : null}
+            {running === null ? null : <p>Flying now: {running}</p>}
             {attempts.length === 0 ? <p className="quiet">No attempt yet</p> : null}
             {attempts.map((one) => (
               <p key={one.number} className="quiet numbers">

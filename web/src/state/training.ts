@@ -186,7 +186,7 @@ export function unmarkedRows({ unmarked: found, is_inspection, ...score }: Fligh
       "Lumen in the middle",
       `${fixed(100 * found.middle_share)} %`,
       "Share of the time with the centreline 10 mm ahead within a quarter of the field of view from the middle, a " +
-        "definition of Carina. Share of time on the axis: Nat Commun 2023, s41467-023-44385-7.",
+        "definition of Carina. Share of time on the axis: Nature Communications 2023, s41467-023-44385-7.",
     ),
   ];
 }

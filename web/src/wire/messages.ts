@@ -2099,6 +2099,7 @@ export interface CourseInfo {
 export interface ClassLearner {
   readonly learner: LearnerInfo;
   readonly attempts: readonly CourseAttemptInfo[];
+  readonly running: string | null;
 }
 
 /** Tasks, the running attempt or quiz, and scores of flights.

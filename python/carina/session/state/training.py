@@ -230,6 +230,8 @@ class ClassLearner(FrozenValue, frozen=True):
     learner: LearnerInfo
     attempts: tuple[CourseAttemptInfo, ...]
     """The latest attempts, the oldest first."""
+    running: Words | None = None
+    """Task and progress while the learner flies, on any machine that uses the same folder of learners."""
 
 
 class TrainingInfo(FrozenValue, frozen=True):

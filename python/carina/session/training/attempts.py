@@ -308,6 +308,7 @@ class TrainingHandlers(CommandHandlers):
         """Follow an attempt until it ends; runs in a thread of the attempt."""
         while self.follow_attempt(case, attempt) and not attempt.ended.wait(SAMPLE_S):
             pass
+        self._course.note_running(attempt.learner, None)
 
     def follow_attempt(self, case: OpenCase, attempt: LiveAttempt) -> bool:
         """Sample the tip, update the score once a second, and end an attempt that is over.
@@ -323,8 +324,10 @@ class TrainingHandlers(CommandHandlers):
             # The score of a long flight takes seconds; the views and the samples of the tip need this time, too.
             attempt.pause_s = PAUSE_SHARE * (self.core.clock() - now_s)
             with self.core.lock:
-                if self.core.case is case and self._of(case).attempt is attempt:
-                    self.core.changed("training")
+                if self.core.case is not case or self._of(case).attempt is not attempt:
+                    return False
+                self.core.changed("training")
+            self._course.note_running(attempt.learner, attempt.info(now_s), attempt.task.title)
         return True
 
     def _sample(self, case: OpenCase, attempt: LiveAttempt) -> bool:

@@ -9,10 +9,18 @@ from carina import commands as c
 from carina.errors import CarinaError, UsageError
 from carina.session.command_registry import CommandHandlers, answers, does
 from carina.session.state.snapshot import ErrorEvent
-from carina.session.state.training import ClassLearner, CourseAttemptInfo, CourseInfo, LearnerInfo, PublishedScores
+from carina.session.state.training import (
+    ClassLearner,
+    CourseAttemptInfo,
+    CourseInfo,
+    LearnerInfo,
+    PublishedScores,
+    RunningTask,
+)
 from carina.training import Course, Learner, Score, learner_files
 from carina.training.course import CourseAttempt
 from carina.training.mastery import NOT_AN_INSPECTION
+from carina.training.running_tasks import RunningTasks
 
 if TYPE_CHECKING:
     from carina.session.core import SessionCore
@@ -42,6 +50,9 @@ class CourseHandlers(CommandHandlers):
         self._unstored: list[tuple[str, Score]] = []
         """Scores that could not be stored, each with its learner's key; they are stored with the next score."""
         self._info: CourseInfo | None = None
+        self._running = None if course is None else RunningTasks(course.folder)
+        self._flown: dict[str, str] = {}
+        """Task and progress of each learner who flies now, on any machine that uses the folder, by the key."""
         self._read: tuple[tuple[Learner, ...], tuple[str, ...]] | None = None
         """Learners and problems at the latest reading; None before the first."""
         self._summaries: dict[str, tuple[Learner, LearnerInfo]] = {}
@@ -60,8 +71,19 @@ class CourseHandlers(CommandHandlers):
         course = self._course
         if course is not None:
             found = course.learners(), course.problems()
+            flown = {} if self._running is None else self._running.read()
             with self.core.lock:
-                self._read, self._info = found, None
+                self._read, self._flown, self._info = found, flown, None
+
+    def note_running(self, key: str | None, running: RunningTask | None, title: str = "") -> None:
+        """Store what a learner flies for a teacher, or its end; called without the session's lock."""
+        if key is None or self._running is None:
+            return
+        if running is None:
+            self._running.end(key)
+        else:
+            text = f"{title}: {len(running.steps_done)} of {running.num_steps} steps"
+            self._running.note(key, f"{text}, {running.elapsed_s:.0f} s", running.elapsed_s)
 
     def _known(self) -> tuple[tuple[Learner, ...], tuple[str, ...]]:
         """Return learners and problems without reading the disk again."""
@@ -159,7 +181,10 @@ class CourseHandlers(CommandHandlers):
     def classroom(self, _question: c.ClassroomOf) -> tuple[ClassLearner, ...]:
         """Return all learners with their latest attempts, for a teacher."""
         with self.core.lock:
-            return tuple(ClassLearner(self._summary(one), _attempts(one)[-CLASS_ATTEMPTS:]) for one in self._learners())
+            return tuple(
+                ClassLearner(self._summary(one), _attempts(one)[-CLASS_ATTEMPTS:], self._flown.get(one.key))
+                for one in self._learners()
+            )
 
     def info(self) -> CourseInfo:
         """Return the learners, and the attempts of the chosen one; the caller holds the session's lock."""

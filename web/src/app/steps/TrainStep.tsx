@@ -238,7 +238,7 @@ function RunningAttempt({ attempt }: { attempt: Attempt }) {
       />
       <p className="quiet">
         <kbd>W</kbd> <kbd>S</kbd> advance and withdraw, <kbd>{"\u2191"}</kbd> <kbd>{"\u2193"}</kbd> bend the tip,{" "}
-        <kbd>A</kbd> <kbd>D</kbd> rotate. The attempt does not count if the scope is removed or the airways are edited.
+        <kbd>A</kbd> <kbd>D</kbd> rotate. Other modes, instruments and steps are disabled until you end the task.
       </p>
     </>
   );
