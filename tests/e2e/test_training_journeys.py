@@ -283,9 +283,8 @@ def test_simulated_handle_flies_a_task_and_its_loss_is_reported(host, workstatio
     page.get_by_text("was disconnected: the task continues").first.wait_for()
     assert workstation.state("training.running !== null")
     workstation.picture("journey-handle-lost")
-    # The wall is at the end of the trachea at the latest.
-    workstation.hold_until("w", "() => window.spoken.length > 0")
-    assert page.evaluate("window.spoken.every((text) => text.startsWith('near: '))")
+    page.wait_for_function("() => window.spoken.length > 0", timeout=FLIGHT_MS)
+    assert page.evaluate("window.spoken.includes('near: Next: RB1')")
     end(page)
     close_score(page)
     assert workstation.faults == []

@@ -44,7 +44,8 @@ export function VoiceFeedback({ running }: { running: RunningTask }) {
   const before = useRef<RunningTask | null>(null);
   useEffect(() => {
     const text = spokenText(before.current, running);
-    before.current = running;
+    // The voice begins with the next step when it is switched on.
+    before.current = on ? running : null;
     if (!on || voice === null || text === null) return;
     const utterance = new SpeechSynthesisUtterance(text);
     utterance.voice = voice;

@@ -238,7 +238,8 @@ function RunningAttempt({ attempt }: { attempt: Attempt }) {
       />
       <p className="quiet">
         <kbd>W</kbd> <kbd>S</kbd> advance and withdraw, <kbd>{"\u2191"}</kbd> <kbd>{"\u2193"}</kbd> bend the tip,{" "}
-        <kbd>A</kbd> <kbd>D</kbd> rotate; on a touch screen, use the sticks. Other modes, instruments and steps are disabled until you end the task.
+        <kbd>A</kbd> <kbd>D</kbd> rotate; on a touch screen, use the sticks. Other modes, instruments and steps are
+        disabled until you end the task.
       </p>
     </>
   );
