@@ -316,7 +316,7 @@ def test_comparison_with_the_expert_is_complete_without_scrolling_and_printed_on
         assert box.evaluate(FITS), f"the comparison is complete at {size}"
     pages = pypdf.PdfReader(io.BytesIO(page.pdf(format="A4"))).pages
     assert len(pages) == 1
-    printed = pages[0].extract_text()
+    printed = " ".join(pages[0].extract_text().split())
     assert "local variance" in printed
     assert "Number of segments seen" in printed, "a printed page contains the definitions"
     # Every row has its definition one click away, and all other texts have theirs behind one button.

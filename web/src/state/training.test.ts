@@ -110,7 +110,7 @@ describe("a running attempt", () => {
     const attempt = attemptOf(stateAfter(message({ running: RUNNING })));
     expect(attempt).not.toBeNull();
     if (attempt === null) return;
-    expect(progressText(attempt)).toBe("1 of 18, next: RB2");
+    expect(progressText(attempt)).toBe("1\u00a0of\u00a018, next: RB2");
     expect(timeText(attempt, 15)).toBe("9:45.0 left");
     expect(timeText(attempt, 700)).toBe("0:00.0 left");
     expect(timeText({ ...attempt, task: { ...TASK, time_limit_s: null } }, 15)).toBe("0:15.0");
@@ -158,9 +158,9 @@ describe("the score of an attempt", () => {
 
   it("states the denominator of the case beside 18", () => {
     const rows = publishedRows(SCORE, []);
-    expect(rows[0]?.value).toBe("4 of 18; this case has 17");
+    expect(rows[0]?.value).toBe("4\u00a0of\u00a018; this case has 17");
     const whole = { ...SCORE, not_seen: [...SCORE.not_seen, "RB7"], absent: [] };
-    expect(publishedRows(whole, [])[0]?.value).toBe("4 of 18");
+    expect(publishedRows(whole, [])[0]?.value).toBe("4\u00a0of\u00a018");
   });
 
   it("shows published values beside published scores only", () => {

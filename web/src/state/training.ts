@@ -115,13 +115,13 @@ export function publishedRows(score: FlightScore, groups: readonly ReferenceScor
   return [
     {
       title: "Diagnostic completeness",
-      value: `${found.num_seen} of ${NUM_PUBLISHED}${ofCase}`,
+      value: `${found.num_seen}\u00a0of\u00a0${NUM_PUBLISHED}${ofCase}`,
       words: "Number of segments seen. Copenhagen group; Carina's definition of seen is in the guide on training.",
       references: groups.map((one) => fixed(one.num_seen)),
     },
     {
       title: "Structured progress",
-      value: `${found.num_progressions} of ${NUM_PUBLISHED}${ofCase}`,
+      value: `${found.num_progressions}\u00a0of\u00a0${NUM_PUBLISHED}${ofCase}`,
       words:
         "Number of moves from one segment to the next in ascending order. " +
         "Cold 2020, J Thorac Dis, 10.21037/jtd-20-2181.",

@@ -73,6 +73,8 @@ class LiveAttempt:
         self.pause_s = 0.0
         """Smallest time from the newest score to the next one."""
         self._score: Score | None = None
+        self._score_before_s = self._newest_score_s = 0.0
+        """Time of the score before the newest one, and of the newest one, since the beginning of the attempt."""
         self._paused_s: float | None = None
 
     @property
@@ -131,6 +133,7 @@ class LiveAttempt:
     def update_score(self, now_s: float) -> None:
         """Compute the score of the sampled frames."""
         self.scored_s = now_s
+        self._score_before_s, self._newest_score_s = self._newest_score_s, self.elapsed_s(now_s)
         poses, numbers = np.stack(self._poses), np.array(self._numbers)
         frames = FlightFrames(
             poses,
@@ -190,9 +193,9 @@ class LiveAttempt:
         return self._next_step(score) or self.task.structure or ("place" if self.task.kind == "reach" else None)
 
     def _latest_event(self, score: Score, elapsed_s: float) -> FlightEvent | None:
-        recent = [
-            one for one in score.events if one.kind in _EVENT_WORDS and elapsed_s - MESSAGE_S <= one.time_s <= elapsed_s
-        ]
+        # On a slow machine an event is scored late, and is shown until the next score.
+        since_s = min(elapsed_s - MESSAGE_S, self._score_before_s)
+        recent = [one for one in score.events if one.kind in _EVENT_WORDS and since_s <= one.time_s <= elapsed_s]
         # Of simultaneous events a fault is shown.
         return max(recent, key=lambda one: (one.time_s, one.kind in WARNINGS), default=None)
 
