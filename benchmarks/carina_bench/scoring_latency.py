@@ -90,9 +90,6 @@ def _measure(session: Session, blocks: int, seconds: float, side_px: int) -> dic
         time.sleep(0.5)
         end_s, turn = time.monotonic() + seconds, TURN_RAD
         while time.monotonic() < end_s:
-            if name == "on":
-                # Score as often as the session allows at most, once a second.
-                attempt.pause_s = 0.0
             began = time.perf_counter(), time.thread_time(), time.process_time()
             turn = -turn
             session.do(Steer(0.2 if turn > 0.0 else -0.2, 0.0, turn, 0.0))

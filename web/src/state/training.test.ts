@@ -110,7 +110,7 @@ describe("a running attempt", () => {
     const attempt = attemptOf(stateAfter(message({ running: RUNNING })));
     expect(attempt).not.toBeNull();
     if (attempt === null) return;
-    expect(progressText(attempt)).toBe("1\u00a0of\u00a018, next: RB2");
+    expect(progressText(attempt)).toBe("1 of 18, next: RB2");
     expect(timeText(attempt, 15)).toBe("9:45.0 left");
     expect(timeText(attempt, 700)).toBe("0:00.0 left");
     expect(timeText({ ...attempt, task: { ...TASK, time_limit_s: null } }, 15)).toBe("0:15.0");
