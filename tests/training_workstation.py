@@ -18,7 +18,7 @@ from small_case import Clock, SmallRenderer
 class Workstation:
     """Session with an open chest, whose attempts are followed by the test instead of a thread."""
 
-    def __init__(self, folder: Path, chest, monkeypatch, course=None) -> None:
+    def __init__(self, folder: Path, chest, monkeypatch, course=None, tasks=None) -> None:
         volume, airways, wall = chest
         self.clock = Clock()
         self.attempts = []
@@ -37,6 +37,7 @@ class Workstation:
             records=records,
             files=case_files(None, records),
             course=course,
+            tasks=tasks,
         )
         self.messages = []
         self.session.subscribe(lambda event: self.messages.append(event) if isinstance(event, UserMessage) else None)

@@ -47,7 +47,12 @@ class Settings:
     cases_dir: Path
     """Folder of the user's cases, which are never deleted automatically."""
     learners_dir: Path
-    """Folder of the learners of the training's course and of their attempts."""
+    """Folder of the learners of the training's course and of their attempts: ``CARINA_LEARNERS_DIR``, else local.
+
+    Several machines of a classroom may use one folder on a file server.
+    """
+    tasks_dir: Path
+    """Folder of the tasks of the training that teachers write."""
     retrieved_dir: Path
     """Folder of the series that the window retrieved from a PACS; never deleted automatically."""
     documents_dir: Path
@@ -93,6 +98,7 @@ def load_settings(environ: Mapping[str, str] | None = None) -> Settings:
         msg = f"CARINA_BACKEND must be one of {', '.join(BACKENDS)}; found {backend!r}"
         raise UsageError(msg, code="usage.backend")
     data_dir = values.get("CARINA_DATA_DIR", "").strip()
+    learners = values.get("CARINA_LEARNERS_DIR", "").strip()
     return Settings(
         log_level=level,
         data_dir=Path(data_dir).expanduser() if data_dir else None,
@@ -100,7 +106,8 @@ def load_settings(environ: Mapping[str, str] | None = None) -> Settings:
         is_backend_forced=bool(forced),
         config_dir=dirs.user_config_path,
         cases_dir=dirs.user_data_path / "cases",
-        learners_dir=dirs.user_data_path / "learners",
+        learners_dir=Path(learners).expanduser() if learners else dirs.user_data_path / "learners",
+        tasks_dir=dirs.user_data_path / "tasks",
         retrieved_dir=dirs.user_data_path / "retrieved",
         documents_dir=dirs.user_documents_path,
         state_dir=dirs.user_state_path,

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import json
+from types import SimpleNamespace
 
 import pytest
 from scripted_flights import Script, recording_text
 
 import carina as api
 from cached_test_data import found_airways
+from carina.cli import score as command
 from carina.cli.opened import OpenedInput
-from carina.training import SEGMENTS, segments_of_case
+from carina.training import SEGMENTS, find_task, segments_of_case, task_to_json
 
 pytestmark = pytest.mark.slow
 
@@ -126,3 +128,14 @@ def test_score_is_compared_with_the_flight_of_an_expert(carina, ct, flight):
     assert "deviation from the expert's path: mean 0.0 mm" in text.out
     found = json.loads(carina("score", flight, ct, "--expert", flight, "--json").out)["comparison"]
     assert (found["worst_mm"], found["longest_stay"], found["compared_share"]) == (0.0, None, 1.0)
+
+
+def test_own_tasks_are_listed_after_the_built_in_ones_with_the_files_that_cannot_be_used(carina, tmp_path, monkeypatch):
+    own = {**task_to_json(find_task("find-rb6")), "name": "mine", "title": "Find it"}
+    (tmp_path / "mine.json").write_text(json.dumps(own))
+    (tmp_path / "wrong.json").write_text("{")
+    monkeypatch.setattr(command, "load_settings", lambda: SimpleNamespace(tasks_dir=tmp_path))
+    ended = carina("score", "--list-tasks")
+    assert ended.code == 0
+    assert ended.out.splitlines()[-1].split(maxsplit=1) == ["mine", "Find it"]
+    assert "wrong.json: expected a JSON file with one task" in ended.err

@@ -125,6 +125,14 @@ class Host:
         answer = self._ask({"open": {"home": str(next(self._homes)), "demo": None, "path": None, **options}})
         return Server(self._child, answer["url"], answer["number"], begins)
 
+    def drive(self, server: Server, offset_mm: float) -> int:
+        """Fly the running inspection of a workstation by a script in compressed time; return the number of poses.
+
+        Drives with different offsets of the tip, mm, have different poses.
+        """
+        poses: int = self._ask({"drive": server.number, "offset_mm": offset_mm})["poses"]
+        return poses
+
     def close(self, server: Server) -> None:
         """Close a workstation, and wait for its last log line."""
         self._ask({"close": server.number})

@@ -7,7 +7,8 @@ and wall, the targets of equal points, the plans of equal targets, their verdict
 
 ``{"open": {"demo": "phantom"}}`` is answered by ``{"number": 1, "url": URL}``, ``{"close": 1}`` by ``{"closed": 1}``,
 and an error by ``{"error": TEXT}``. ``{"open": {"path": PATH, "is_shared": true}}`` opens a shared file, which never
-changes. The process ends at the end of its input.
+changes. ``{"drive": 1, "offset_mm": 0.1}`` flies the running inspection of workstation 1 by a script in compressed
+time. The process ends at the end of its input.
 """
 
 from __future__ import annotations
@@ -34,20 +35,26 @@ import numpy as np
 
 from carina import render
 from carina.case import compression
-from carina.commands import OpenDemo, OpenPath
+from carina.commands import OpenDemo, OpenPath, Steer
 from carina.errors import CarinaError
 from carina.phone import PhoneSwitch
 from carina.render import AirwayView, Backend, isoregion_cache, scene
+from carina.scopes import Pose
 from carina.server.app import web_folder
 from carina.server.frames import pacing
 from carina.server.network.access_checks import Gate
 from carina.server.serve import bind, make_server, start_url
 from carina.session import CaseRecords, LocalStore, Session, case_files
 from carina.session.engines import Parts, default_parts
-from carina.training import Course
+from carina.training import Course, TaskFolder, segments_of_case
 
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "benchmarks"))
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "training"))
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+from scripted_flights import STEP_S, Script
+
 from cached_test_data import cached_value, found_airways, name_of
+from carina_bench.training import CLASSES, TrainingCase
 
 STARTS_S = 120.0
 OPENS_S = 600.0
@@ -330,11 +337,59 @@ class Ports:
         return sock
 
 
+class ScriptedClock:
+    """Clock of a session that a scripted drive can advance faster than the time of the machine."""
+
+    def __init__(self) -> None:
+        self.ahead_s = 0.0
+
+    def __call__(self) -> float:
+        return time.monotonic() + self.ahead_s
+
+
 PORTS = Ports()
+DRIVES: dict[int, tuple[Session, ScriptedClock]] = {}
+"""Session and clock of each open workstation, by its number."""
+
+
+def drive_optimally(session: Session, clock: ScriptedClock, offset_mm: float) -> int:
+    """Fly the running attempt at an inspection by a script, in compressed time; return the number of poses.
+
+    The script places the tip directly, so that the physics of the scope has no part in the flight. Command, recorder,
+    scorer and learners are those of a hand.
+    """
+    core = session._core
+    case = core.needed_case()
+    airways = case.document.airways
+    assert airways is not None
+    parts = {
+        one.name: tuple(str(airways.tree.branch(number).name) for number in one.branch_ids)
+        for one in segments_of_case(airways.tree)
+    }
+    wall = case.wall.of(airways)
+    assert wall is not None
+    drive, options = CLASSES["optimal"]
+    script = Script(airways.tree, offset_mm=offset_mm, **options)
+    script.start()
+    made = TrainingCase("window", 0, case.info.volume, airways.tree, wall.field, parts)
+    drive(script, made, np.random.default_rng(1))
+
+    def place(pose: Pose, *_amounts: float, **_times: float) -> None:
+        case.navigator._pose = pose
+
+    for matrix in script.poses:
+        with core.lock:
+            clock.ahead_s += STEP_S
+            pose = Pose(matrix)
+            navigator = case.navigator
+            navigator.steer = partial(place, pose)  # type: ignore[method-assign]
+            session.do(Steer(0.1, 0.0, 0.0, 0.0))
+            del navigator.steer
+    return len(script.poses)
 
 
 def open_workstation(
-    cache: Kept, stack: ExitStack, home: str, demo: str | None, path: str | None, **options: Any
+    cache: Kept, stack: ExitStack, home: str, demo: str | None, path: str | None, *, number: int, **options: Any
 ) -> str:
     """Assemble a workstation as ``carina.server.serve`` does, and return its start URL; ``stack`` closes it."""
     if options.get("is_shared"):
@@ -350,14 +405,18 @@ def open_workstation(
     # The hints of the first minute would cover parts of the window; their test asks for a user who has not read them.
     if not options.get("first_use"):
         store.read_hints()
+    clock = ScriptedClock()
     session = Session(
         factory,
+        clock=clock,
         parts=cache.parts(),
         store=store,
         records=CaseRecords(Path(home) / "cases", time.time, Path(home) / "documents"),
         files=case_files(),
         course=Course(Path(home) / "learners"),
+        tasks=TaskFolder(Path(home) / "tasks"),
     )
+    DRIVES[number] = session, clock
     stack.callback(session.close)
     page = PhoneSwitch(session, web_folder(), options.get("phone_address"))
     stack.callback(page.stop)
@@ -410,8 +469,11 @@ def main() -> None:
             if "open" in order:
                 stack, number = ExitStack(), next(numbers)
                 opened[number] = stack
-                answer = {"number": number, "url": open_workstation(cache, stack, **order["open"])}
+                answer = {"number": number, "url": open_workstation(cache, stack, number=number, **order["open"])}
+            elif "drive" in order:
+                answer = {"poses": drive_optimally(*DRIVES[order["drive"]], order["offset_mm"])}
             else:
+                DRIVES.pop(order["close"], None)
                 opened.pop(order["close"]).close()
                 print(f"workstation {order['close']} is closed", file=sys.stderr, flush=True)
                 answer = {"closed": order["close"]}

@@ -8,7 +8,7 @@ from dataclasses import replace
 import httpx
 import pytest
 from live_server import SHOWN, WAIT_S
-from observers import insecure, sharing, watching
+from observers import insecure, page_of, sharing, watching
 
 from carina.commands import AddLearner
 from carina.errors import NoResultError, VolumeImportError
@@ -199,3 +199,31 @@ def test_observer_receives_the_training_without_learners(shared_case, tmp_path):
         assert len(shown.tasks) == len(task_names())
         assert not shown.course.stores
     assert not any(b"heron" in data for data in recorder.received)
+
+
+def test_teacher_receives_pseudonyms_only_while_the_user_shares_the_learners(shared_case, tmp_path):
+    live, window, page = shared_case
+    live.session._course._course = Course(tmp_path / "learners")
+    live.session.do(AddLearner("Blue heron"))
+    with watching(page.url) as watcher:
+        watcher.send(SHOWN)
+        first = watcher.until(lambda m: isinstance(m, wire.TrainingMessage))
+        assert first.classroom == ()
+        window.send(wire.SetWatchPage(on=True, learners=True))
+        assert page_of(window, lambda one: one is not None and one.learners).url == page.url, "the link is unchanged"
+        shown = watcher.until(lambda m: isinstance(m, wire.TrainingMessage) and m.classroom)
+        assert [(one.learner.name, one.attempts) for one in shown.classroom] == [("Blue heron", ())]
+        assert not shown.course.stores
+        assert (shown.task_folder, shown.task_problems) == (None, ())
+        # Another process adds a learner to the folder, which the server reads again by itself.
+        Course(tmp_path / "learners").add("Grey wagtail")
+        watcher.until(lambda m: isinstance(m, wire.TrainingMessage) and len(m.classroom) == 2)
+        window.send(wire.SetWatchPage(on=True, learners=False))
+        watcher.until(lambda m: isinstance(m, wire.TrainingMessage) and not m.classroom)
+        # A page that is opened again shares nothing.
+        window.send(wire.SetWatchPage(on=True, learners=True))
+        page_of(window, lambda one: one is not None and one.learners)
+        window.send(wire.SetWatchPage(on=False))
+        window.until(lambda m: isinstance(m, wire.Watching) and m.page is None)
+        window.send(wire.SetWatchPage(on=True))
+        assert not page_of(window).learners

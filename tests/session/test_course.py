@@ -17,7 +17,6 @@ from carina.commands import (
     PauseTask,
     RemoveFlight,
     RemoveLearner,
-    ScoreFlight,
     StopTask,
 )
 from carina.errors import DiskError, NoResultError, UsageError
@@ -83,15 +82,6 @@ def test_attempt_belongs_to_the_learner_who_began_it(workstation):
     workstation.session.do(StopTask())
     workstation.scored(1)
     assert {one.name: one.num_attempts for one in workstation.info.course.learners} == {"one": 1, "two": 0}
-
-
-def test_attempt_that_was_not_scored_is_stored_when_it_is_scored_again(workstation):
-    workstation.session.do(AddLearner("one"))
-    workstation.session.do(ChooseLearner(None))
-    fly(workstation)
-    workstation.session.do(ChooseLearner("one"))
-    workstation.session.do(ScoreFlight(flights(workstation)[0].number))
-    until(lambda: len(workstation.info.course.attempts) == 1)
 
 
 def test_paused_attempt_at_a_task_states_why_it_does_not_count(workstation):

@@ -50,7 +50,7 @@ def test_file_of_a_learner_contains_no_pose_no_time_of_day_and_no_case(tmp_path,
     course = Course(tmp_path)
     course.add("Blue heron")
     course.record("Blue heron", scores[0])
-    (path,) = tmp_path.iterdir()
+    (path,) = tmp_path.glob("*.learner.json")
     text = path.read_text()
     assert "lps" not in text
     assert not {"timestamp", "patient", "case_id", "date"} & {*json.loads(text)["attempts"][0]}
@@ -134,7 +134,7 @@ def test_deleted_learner_leaves_no_file(tmp_path, scores):
     course.record("one", scores[0])
     course.remove("ONE")
     assert [one.name for one in course.learners()] == ["two"]
-    assert len(list(tmp_path.iterdir())) == 1
+    assert len(list(tmp_path.glob("*.learner.json"))) == 1
     with pytest.raises(UsageError, match="learner: expected one of two; found 'one'"):
         course.record("one", scores[0])
 
@@ -191,7 +191,7 @@ def test_values_that_cannot_be_shown_or_exported_are_damage(tmp_path, scores, ch
     course = Course(tmp_path)
     course.add("one")
     course.record("one", scores[0])
-    (path,) = tmp_path.iterdir()
+    (path,) = tmp_path.glob("*.learner.json")
     file = json.loads(path.read_text())
     change(file)
     path.write_text(json.dumps(file))

@@ -12,7 +12,7 @@ from carina.track import AirwayTree, Branch
 from carina.training.attempt_checks import attempt_doubts
 from carina.training.entries import entries_of, openings_entered, openings_passed
 from carina.training.flight_frames import FlightFrames, FlightOptics
-from carina.training.handling import TipPlaces, hour_text, tip_places, wall_contacts
+from carina.training.handling import CentrelineIndex, TipPlaces, hour_text, tip_places, wall_contacts
 from carina.training.openings_in_sight import BranchOpening, OpeningSights, openings_in_sight
 from carina.training.task_file import find_task
 from carina.training.visits import Visit, places_seen, progress_steps, revisits_of, visits_of
@@ -271,7 +271,7 @@ def test_touches_within_half_a_second_are_one_contact(num_clear, expected):
 def test_lumen_is_in_the_middle_within_a_quarter_of_the_field_of_view(off_deg, expected):
     a = np.radians(off_deg)
     frames = frames_of([camera((0.0, 0.0, 20.0), (np.sin(a), 0.0, np.cos(a)))])
-    assert tip_places(frames, straight_tree()).lumen_in_middle.tolist() == [expected]
+    assert tip_places(frames, CentrelineIndex(straight_tree())).lumen_in_middle.tolist() == [expected]
 
 
 def doubts_of(poses, wall=WIDE, *, branch=0, **options):

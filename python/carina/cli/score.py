@@ -10,11 +10,14 @@ from carina.cli.arguments import check_needs, check_output_folder
 from carina.cli.case import open_case_recording
 from carina.cli.console import print_json, print_note, print_result, progress_printer
 from carina.cli.opened import check_case_options, check_scan_exists, open_input
+from carina.config import load_settings
 from carina.training import (
     REFERENCE_GROUPS,
     SEGMENTS,
     Mastery,
     Score,
+    Task,
+    TaskFolder,
     compare_flights,
     find_task,
     flight_frames,
@@ -32,9 +35,21 @@ MAX_CONTACT_LINES = 10
 
 
 def print_tasks() -> None:
-    """Print the name and the title of each built-in task."""
-    width = max(len(name) for name in task_names())
-    print_result(*(f"{name:{width}}  {find_task(name).title}" for name in task_names()))
+    """Print the name and the title of each built-in task and of each task in the folder of tasks."""
+    own = TaskFolder(load_settings().tasks_dir)
+    found = own.read()
+    tasks = [*map(find_task, task_names()), *found.tasks]
+    width = max(len(task.name) for task in tasks)
+    print_result(*(f"{task.name:{width}}  {task.title}" for task in tasks))
+    print_note(f"your own tasks are files in {own.folder}")
+    for problem in found.problems:
+        print_note(problem)
+
+
+def _named_task(wanted: str) -> Task:
+    """Return a task of the folder of tasks by its name, or else a built-in task or the task in a file."""
+    own = TaskFolder(load_settings().tasks_dir).read().tasks
+    return next((task for task in own if task.name == wanted), None) or find_task(wanted)
 
 
 def report(
@@ -57,7 +72,7 @@ def report(
         check_needs("the log (--log)", learner=learner)
     else:
         check_output_folder(log)
-    chosen = None if task is None else find_task(task)
+    chosen = None if task is None else _named_task(task)
     check_scan_exists(path)
     flights = [open_case_recording(path, one) for one in (*earlier, recording)]
     reference = None if expert is None else open_case_recording(path, expert)

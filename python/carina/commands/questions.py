@@ -72,6 +72,10 @@ class TrainingOf(Query[Any], frozen=True):
     """Tasks, the running attempt, and scores of flights: a :class:`carina.session.TrainingInfo`."""
 
 
+class ClassroomOf(Query[Any], frozen=True):
+    """All learners with their latest attempts: a tuple of :class:`carina.session.ClassLearner`."""
+
+
 class LearnerFiles(Query[Any], frozen=True):
     """Attempts of a learner as texts of files (CSV, xAPI) by file name.
 

@@ -17,7 +17,7 @@ class StartTask(Command, frozen=True):
     """
 
     task: OwnName
-    """Name of a built-in task."""
+    """Name of a built-in task, or of a task in the folder of tasks."""
 
 
 class PauseTask(Command, frozen=True):
@@ -38,7 +38,11 @@ class ScoreFlight(Command, frozen=True):
 
     number: FlightNumber
     task: OwnName | None = None
-    """Name of a built-in task; null takes the task that the flight states, or else the inspection of all segments."""
+    """Name of a task; null takes the task that the flight states, or else the inspection of all segments."""
+
+
+class ReadTrainingFiles(Command, frozen=True):
+    """Read the tasks of teachers and the learners again, which other programs may have changed."""
 
 
 class MarkExpert(Command, frozen=True):

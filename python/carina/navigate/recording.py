@@ -96,6 +96,7 @@ class Recorder:
         self._view: dict[str, Any] = {}
         self._at_s = now_s
         self._paused_s: float | None = None
+        self._in_task = False
         self.num_moves = self.num_poses = 0
         pilot.forget_devices()
         self._write(
@@ -136,13 +137,26 @@ class Recorder:
             self._view = view
             self._write({"t": self._time(now_s), "view": view})
 
-    def note_task(self, task: dict[str, Any], now_s: float) -> None:
-        """Record the beginning of an attempt at a task of the training; the task is given as JSON values."""
+    def note_task(self, task: dict[str, Any], now_s: float, learner: str | None = None) -> None:
+        """Record the beginning of an attempt at a task of the training.
+
+        Parameters
+        ----------
+        task
+            The task as JSON values.
+        now_s
+            Time of the beginning.
+        learner
+            Key of the learner who flies, a random number without the pseudonym; None without a learner.
+        """
         self.tick(now_s)
-        self._write({"t": self._time(self._at_s), "task": task})
+        self._in_task = True
+        owner = {} if learner is None else {"learner": learner}
+        self._write({"t": self._time(self._at_s), "task": task, **owner})
 
     def note_task_end(self, outcome: TaskOutcome, now_s: float) -> None:
         """Record the end of the attempt."""
+        self._in_task = False
         self.tick(now_s)
         self._write({"t": self._time(self._at_s), "task_end": outcome})
 
@@ -168,8 +182,13 @@ class Recorder:
             self._at_s = max(self._at_s, now_s)
 
     def close(self) -> None:
-        """Write the end and close the file; a write error is passed to ``on_end`` and not raised."""
+        """Write the end and close the file; a write error is passed to ``on_end`` and not raised.
+
+        An attempt at a task that has not ended was interrupted.
+        """
         self._pilot.on_move = None
+        if self._in_task:
+            self.note_task_end("interrupted", self._at_s)
         self._write({"end": self._time(self._at_s), "num_moves": self.num_moves, "num_poses": self.num_poses})
         if self.trouble is None:
             try:
@@ -287,6 +306,11 @@ class Recording:
     def task(self) -> dict[str, Any] | None:
         """The task of the training as JSON values, if the recording is an attempt at one, else None."""
         return next((dict(line["task"]) for line in self.lines if "task" in line), None)
+
+    @property
+    def learner(self) -> str | None:
+        """Key of the learner who flew the attempt; None without an attempt or a learner."""
+        return next((line.get("learner") for line in self.lines if "task" in line), None)
 
     @property
     def task_outcome(self) -> str | None:
@@ -431,8 +455,10 @@ def read_recording(file: io.TextIOBase | TextIO, place: Path) -> Recording:
             raise _unusable_recording_error(
                 place, f"line {len(lines) + 2} contains an invalid movement, view, wall or task record"
             )
-        if not isinstance(line.get("task_end", ""), str):
-            raise _unusable_recording_error(place, f"line {len(lines) + 2} contains an invalid end of a task")
+        if not all(isinstance(line.get(part, ""), str) for part in ("task_end", "learner")):
+            raise _unusable_recording_error(
+                place, f"line {len(lines) + 2} contains an invalid end or learner of a task"
+            )
         if "paused" in line and not _is_pause(line):
             raise _unusable_recording_error(place, f"line {len(lines) + 2} contains an invalid pause")
         last_s = float(at_s)

@@ -16,6 +16,7 @@ from carina.commands import (
     MaskFileNeeded,
     MeasureMovementFromFiles,
     OpenFiles,
+    ReadTrainingFiles,
     TakeKeyFrameFile,
     TakeMask,
     TakeTarget,
@@ -41,6 +42,8 @@ logger = logging.getLogger(__name__)
 
 MAX_WINDOWS = 8
 """Maximum number of connected windows, observers not counted; each window renders its own frames."""
+CLASSROOM_S = 3.0
+"""Interval in s at which the learners are read again while a teacher watches."""
 FLOODED = (
     "an observer sent too many messages and was disconnected. The link for observers has changed; those who are still "
     "connected stay connected"
@@ -191,6 +194,11 @@ class Hub:
     # ------------------------------------------------------------ messages to the windows
 
     @property
+    def shares_learners(self) -> bool:
+        """Whether observers receive the learners of the training: their pseudonyms, attempts and scores."""
+        return self._watch_page.shares_learners
+
+    @property
     def _command_windows(self) -> tuple[Window, ...]:
         """The windows that can send commands; observers are not included."""
         return tuple(window for window in self._windows.values() if not window.watches)
@@ -322,7 +330,11 @@ class Hub:
             case wire.StopSeriesPictures():
                 stop_series_pictures(self.session)
             case wire.SetWatchPage():
-                self._run_as_task(self._open_watch_page(window) if message.on else self.close_watch_page(SWITCHED_OFF))
+                self._run_as_task(
+                    self._open_watch_page(window, learners=message.learners)
+                    if message.on
+                    else self.close_watch_page(SWITCHED_OFF)
+                )
             case wire.SendAway():
                 self._watch_page.disconnect(message.number)
             case _ if self._pacs.handle(message, window) or self.devices.handle(message, window.number):
@@ -338,12 +350,13 @@ class Hub:
         self._switching.add(task)
         task.add_done_callback(self._switching.discard)
 
-    async def _open_watch_page(self, window: Window) -> None:
+    async def _open_watch_page(self, window: Window, *, learners: bool) -> None:
         try:
             self._watched_case = self.session.snapshot().case_number
             if self._watched_case == 0:
                 raise UsageError("open a case first; then others can watch it", code="session.no-case")
             await self._watch_page.start()
+            self._share_learners(learners)
         except CarinaError as error:
             window.outbox.push(wire.Error(error.code, str(error), None))
         except Exception as error:
@@ -353,6 +366,25 @@ class Hub:
         if self.session.snapshot().case_number != self._watched_case:
             # Another case was opened while the viewing page was starting.
             await self.close_watch_page(SWITCHED_OFF)
+
+    def _share_learners(self, learners: bool) -> None:
+        """Start or stop sending the learners of the training to observers; the viewing page is open."""
+        if self._watch_page.shares_learners == learners or not self._watch_page.is_open:
+            return
+        self._watch_page.shares_learners = learners
+        self._mark_topics("watching")
+        for window in self._windows.values():
+            if window.watches:
+                window.mark("training")
+        if learners:
+            self._run_as_task(self._follow_classroom())
+
+    async def _follow_classroom(self) -> None:
+        """Read the learners again at intervals while a teacher watches: other machines may use the same folder."""
+        while self._watch_page.shares_learners:
+            await asyncio.sleep(CLASSROOM_S)
+            if self._watch_page.shares_learners:
+                await asyncio.to_thread(self.session.do, ReadTrainingFiles())
 
     async def close_watch_page(self, words: str) -> None:
         """Stop the viewing page, and send the reason ``words`` to every connected observer."""

@@ -39,7 +39,7 @@ from carina.server.network.shutdown import TimedShutdownServer
 from carina.server.unsaved_question import ConsoleTerminal, close_session
 from carina.server.wire.codec import MAX_TEXT_BYTES
 from carina.session import FORGOTTEN_FOR_S, CaseRecords, LocalStore, RendererFactory, Session, case_files, is_case_file
-from carina.training import Course
+from carina.training import Course, TaskFolder
 from carina.volume import Citation, VolumeCache
 
 __all__ = ["EndSignals", "bind", "make_server", "serve", "start_url"]
@@ -297,6 +297,7 @@ def serve(
             records=records,
             files=case_files(cache, records),
             course=course,
+            tasks=TaskFolder(settings.tasks_dir),
         )
         page = None if make_phone is None else make_phone(session, web_folder(), phone_address)
 

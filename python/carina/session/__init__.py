@@ -30,6 +30,7 @@ from carina.session.state.snapshot import (
     WallPoint,
 )
 from carina.session.state.training import (
+    ClassLearner,
     CourseInfo,
     FlightScore,
     QuizInfo,
@@ -55,6 +56,7 @@ __all__ = [
     "CaseScans",
     "Changed",
     "ChosenRoute",
+    "ClassLearner",
     "CourseInfo",
     "ErrorEvent",
     "Event",

@@ -121,6 +121,8 @@ class SessionCore:
         self.saving: Callable[[], SavingInfo] = SavingInfo
         """Function that returns whether and where the open case is saved."""
         self.before_move: Callable[[], None] = lambda: None
+        self.device_lost: Callable[[str], None] = lambda _device: None
+        """Function called with the session locked when the device that moves the tip was disconnected."""
         self.tip_held = False
         """Whether moves of the tip are ignored, because the attempt at a task is paused."""
         self.before_document: list[Callable[[OpenCase], None]] = []

@@ -46,7 +46,7 @@ from carina.session.training.expert_flights import ExpertHandlers
 from carina.session.training.quizzes import QuizHandlers
 from carina.session.view.look import LookHandlers
 from carina.session.view.questions import CaseQuestions
-from carina.training import Course
+from carina.training import Course, TaskFolder
 
 A = TypeVar("A")
 
@@ -76,6 +76,8 @@ class Session:
         session stores no case.
     course
         Files of the learners of the training; None stores no learners.
+    tasks
+        Folder of the tasks of teachers; None lists the built-in tasks only.
 
     Notes
     -----
@@ -97,6 +99,7 @@ class Session:
         records: CaseRecords | None = None,
         files: CaseFileFunctions | None = None,
         course: Course | None = None,
+        tasks: TaskFolder | None = None,
     ) -> None:
         core = SessionCore(
             renderer_factory,
@@ -117,8 +120,8 @@ class Session:
         core.saving = lambda: self._saving.info
         quizzes = QuizHandlers(core)
         self._course = CourseHandlers(core, course)
-        training = TrainingHandlers(core, recording, quizzes, self._course, self._saving.flight_text)
-        drives = VerdictDriveHandlers(core)
+        training = TrainingHandlers(core, recording, quizzes, self._course, self._saving.flight_text, tasks=tasks)
+        self._training, drives = training, VerdictDriveHandlers(core)
         opening = CaseOpener(core, finding, recording, holding, self._saving)
         # Order: a recording stores its time before other updates; packed airways are unpacked before other code reads
         # them.
@@ -176,7 +179,7 @@ class Session:
         ------
         UsageError
             If a field is out of its bounds, no case is open, or the command names an object that does not exist. The
-            session is unchanged then.
+            session is unchanged then. ``training.running``: if the command would end the running attempt at a task.
         NoResultError
             If the case has no result for the command, such as a path where there is none.
         """
@@ -185,6 +188,7 @@ class Session:
             raise UsageError(f"expected a command from carina.commands; found {type(command).__name__}")
         with self._core.lock:
             self._core.refuse_watcher(command, window)
+            self._training.refuse(command)
         command = checked(command)
         with self._core.doing(command, window):
             return cast("str | None", handler(command))

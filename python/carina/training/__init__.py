@@ -13,6 +13,7 @@ from carina.training.score import FlightScorer, Score, ScoredContact, score_flig
 from carina.training.segments import LANDMARKS, SEGMENTS, CaseSegment, segments_of_case
 from carina.training.task import Task
 from carina.training.task_file import find_task, task_from_file, task_names, task_to_json
+from carina.training.task_folder import FolderTasks, TaskFolder
 from carina.training.task_steps import TaskResult
 
 __all__ = [
@@ -28,6 +29,7 @@ __all__ = [
     "FlightEvent",
     "FlightFrames",
     "FlightScorer",
+    "FolderTasks",
     "InsertedNodule",
     "Learner",
     "Mastery",
@@ -37,6 +39,7 @@ __all__ = [
     "Score",
     "ScoredContact",
     "Task",
+    "TaskFolder",
     "TaskResult",
     "compare_flights",
     "events_csv",

@@ -1,25 +1,31 @@
 """Course: pseudonymous learners and their scored attempts, in local files of one machine.
 
-A learner's file contains the pseudonym and the scores: nothing about the patient, no poses and no time of day.
+A learner's file contains the pseudonym and the scores: nothing about the patient, no poses and no time of day. The
+name of the file is the learner's key, a random number, which recorded flights contain instead of the pseudonym.
 """
 
 from __future__ import annotations
 
+import contextlib
 import csv
 import hashlib
 import io
 import json
+import os
+import re
 import secrets
 import threading
-from collections.abc import Sequence
+import time
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeGuard
 
 from carina.argument_checks import check_arguments, file_path, instance, text_of
 from carina.disk import disk_trouble, make_folder, read_regular_text, write_whole
+from carina.disk.locks import try_lock
 from carina.display import one_line
-from carina.errors import UsageError
+from carina.errors import DiskError, UsageError
 from carina.training.flight_frames import REPEATED_SHARE
 from carina.training.log_files import score_values, xapi_statements
 from carina.training.mastery import Mastery, is_mastery_procedure, judge_mastery
@@ -27,6 +33,12 @@ from carina.training.score import Score
 
 FORMAT, VERSION = "carina-learner", 1
 SUFFIX = ".learner.json"
+KEY = re.compile(r"[0-9a-f]{16}")
+LOCK = ".learners.lock"
+"""File that a process locks while it changes the learners; other processes wait."""
+LOCK_WAIT_S = 20.0
+LOCK_POLL_S = 0.01
+UNREADABLE = "the file of this learner cannot be read; it is left unchanged"
 MAX_NAME = 40
 MAX_BYTES = 256 << 20
 MAX_LEARNERS = 1000
@@ -150,6 +162,8 @@ class Learner:
     name: str
     attempts: tuple[CourseAttempt, ...] = field(default=(), repr=False)
     """Scored attempts in the order in which they were stored."""
+    key: str = field(default="", repr=False)
+    """Random number that identifies the learner in recorded flights, 16 hexadecimal digits; empty without a file."""
 
     @property
     def inspections(self) -> tuple[CourseAttempt, ...]:
@@ -224,6 +238,8 @@ def _cell(text: str) -> str:
 class Course:
     """Learners of one machine, one file each in a folder; nothing is sent.
 
+    Several processes may use one folder: a change locks the folder, reads the file again, and replaces it.
+
     Parameters
     ----------
     folder
@@ -240,6 +256,11 @@ class Course:
         """Return the number of learners."""
         return f"Course({len(self.learners())} learners)"
 
+    @property
+    def folder(self) -> Path:
+        """Folder of the files."""
+        return self._folder
+
     def learners(self) -> tuple[Learner, ...]:
         """Return the learners in the order of their names, without those of damaged files."""
         return tuple(sorted((one for _, one in self._read()[0]), key=lambda one: one.name.casefold()))
@@ -249,7 +270,7 @@ class Course:
         return self._read()[1]
 
     def learner(self, name: str) -> Learner:
-        """Return a learner by the name.
+        """Return a learner by the name or the key.
 
         Raises
         ------
@@ -275,44 +296,60 @@ class Course:
             If the file cannot be written.
         """
         shown = " ".join(name.split())
-        if not 1 <= len(shown) <= MAX_NAME or not shown.isprintable():
+        if not 1 <= len(shown) <= MAX_NAME or not shown.isprintable() or KEY.fullmatch(shown.casefold()):
             raise UsageError(
                 f"pseudonym: expected 1 to {MAX_NAME} printable characters; found {len(shown)} characters; choose "
                 "another pseudonym",
                 code="training.learner",
             )
-        with self._lock:
+        make_folder(self._folder, what="the course")
+        with self._changing():
             known = self.learners()
             if any(one.name.casefold() == shown.casefold() for one in known):
                 raise UsageError(f"the pseudonym {shown} is in use; choose another one", code="training.learner")
             if len(known) >= MAX_LEARNERS:
                 raise UsageError(f"a course has at most {MAX_LEARNERS} learners", code="training.learner")
-            make_folder(self._folder, what="the course")
-            made = Learner(shown)
-            self._write(self._folder / f"{secrets.token_hex(8)}{SUFFIX}", made)
+            made = Learner(shown, key=secrets.token_hex(8))
+            self._write(self._folder / f"{made.key}{SUFFIX}", made)
             return made
 
     @check_arguments(name=text_of(200), score=instance(Score, "get one from carina.score_recording"))
     def record(self, name: str, score: Score) -> Learner:
         """Store a scored attempt of a learner; an attempt at the same task with the same poses is replaced.
 
+        Parameters
+        ----------
+        name
+            Pseudonym or key of the learner.
+        score
+            The score.
+
         Raises
         ------
         UsageError
             ``training.learner``: if there is no such learner.
         DiskError
-            If the file cannot be written; the stored attempts are unchanged.
+            If the file cannot be read or written; the stored attempts are unchanged.
         """
-        with self._lock:
-            path, learner = self._file_of(name)
-            made = CourseAttempt.of(score, learner.name)
+        return self._store(name, lambda learner: CourseAttempt.of(score, learner))
+
+    def _store(self, name: str, attempt: Callable[[str], CourseAttempt]) -> Learner:
+        """Store the attempt that ``attempt`` returns for the pseudonym of a learner."""
+        with self._changing():
+            path, _ = self._file_of(name)
+            # Two changes by another process within one tick of the disk's clock leave the same time and size.
+            self._known.pop(path, None)
+            learner = self._learner_in(path)
+            if learner is None:
+                raise DiskError(UNREADABLE, code="disk.failed")
+            made = attempt(learner.name)
             same = [n for n, one in enumerate(learner.attempts) if (one.digest, one.task) == (made.digest, made.task)]
             attempts = list(learner.attempts)
             if same:
                 attempts[same[0]] = made
             else:
                 attempts.append(made)
-            changed = Learner(learner.name, tuple(attempts))
+            changed = Learner(learner.name, tuple(attempts), learner.key)
             self._write(path, changed)
             return changed
 
@@ -327,7 +364,7 @@ class Course:
         DiskError
             If the file cannot be deleted.
         """
-        with self._lock:
+        with self._changing():
             path, _ = self._file_of(name)
             try:
                 path.unlink()
@@ -352,12 +389,47 @@ class Course:
             write_whole(place / file, text.encode(), what=f"the export {file}") for file, text in files.items()
         )
 
+    @contextlib.contextmanager
+    def _changing(self) -> Iterator[None]:
+        """Lock the folder against changes by other threads and processes.
+
+        Raises
+        ------
+        DiskError
+            If the folder cannot be locked: another process holds the lock for too long, or the disk cannot be written.
+        """
+        with self._lock:
+            if not self._folder.is_dir():
+                # Without a folder there is no learner to change.
+                yield
+                return
+            path = self._folder / LOCK
+            try:
+                descriptor = os.open(path, os.O_RDWR | os.O_CREAT, 0o600)
+            except OSError as error:
+                raise disk_trouble(error, "cannot lock the learners in", path) from error
+            try:
+                end_s = time.monotonic() + LOCK_WAIT_S
+                # A file system without locks returns None: the replacement of the file is atomic there, too.
+                while try_lock(descriptor) is False:
+                    if time.monotonic() > end_s:
+                        raise DiskError(
+                            "another program of Carina changes the learners; wait until it has finished, and try again",
+                            code="disk.locked",
+                        )
+                    time.sleep(LOCK_POLL_S)
+                yield
+            finally:
+                os.close(descriptor)
+
     def _file_of(self, name: str) -> tuple[Path, Learner]:
         found, _ = self._read()
         wanted = " ".join(name.split()).casefold()
         for path, learner in found:
-            if learner.name.casefold() == wanted:
+            if wanted in {learner.name.casefold(), learner.key}:
                 return path, learner
+        if KEY.fullmatch(wanted) and (self._folder / f"{wanted}{SUFFIX}").exists():
+            raise DiskError(UNREADABLE, code="disk.failed")
         names = ", ".join(sorted(one.name for _, one in found)) or "none"
         raise UsageError(f"learner: expected one of {names}; found {name!r}", code="training.learner")
 
@@ -410,7 +482,9 @@ def _learner_in(path: Path) -> Learner | None:
             return None
         # An infinite number or half of a character, which JSON files can contain, cannot be exported or sent.
         json.dumps(document, allow_nan=False, ensure_ascii=False).encode()
-        return Learner(document["name"], tuple(map(CourseAttempt.from_json, document["attempts"])))
+        key = path.name.removesuffix(SUFFIX)
+        attempts = tuple(map(CourseAttempt.from_json, document["attempts"]))
+        return Learner(document["name"], attempts, key if KEY.fullmatch(key) else "")
     except (OSError, ValueError, KeyError, TypeError, RecursionError):
         return None
 

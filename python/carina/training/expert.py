@@ -79,7 +79,7 @@ class FlightComparison:
             found.append(
                 f"deviation from the expert's path: mean {self.deviation_mm:.1f} mm, largest {self.worst_mm:.1f} mm in "
                 f"{self.worst_branch} after {self.worst_s:.1f} s; compared over {100.0 * self.compared_share:.0f} % of "
-                "the time"
+                f"the time{self._variance_text()}"
             )
         touches = f"wall contacts: {self.num_contacts}, expert {self.expert_contacts}"
         if self.touched_only_own:
@@ -90,6 +90,10 @@ class FlightComparison:
         if self.entered_only_expert:
             found.append(f"only the expert entered {', '.join(self.entered_only_expert)}")
         return tuple(found)
+
+    def _variance_text(self) -> str:
+        variance = self.deviation_variance_mm2
+        return "" if variance is None else f"; local variance {variance:.2f} mm²"
 
     def to_json(self) -> dict[str, Any]:
         """Return the comparison as plain JSON types."""

@@ -109,17 +109,30 @@ class CentrelineIndex:
         return [one for child in children for one in self.ahead(child, 0.0, at - float(run[-1]))]
 
 
-def tip_places(frames: FlightFrames, tree: AirwayTree) -> TipPlaces:
+def tip_places(frames: FlightFrames, index: CentrelineIndex, known: TipPlaces | None = None) -> TipPlaces:
     """Return the branch of the tip, and whether the lumen is in the middle of the picture, at each frame.
 
     The lumen is in the middle if the centreline :data:`AHEAD_MM` ahead of the tip is within :data:`MIDDLE_SHARE` of
     the field of view from the line of sight; at a fork the centreline of one of the branches ahead.
+
+    Parameters
+    ----------
+    frames
+        Frames of the flight.
+    index
+        Centrelines of the airways.
+    known
+        Result for the first frames of the same flight, which are not computed again.
     """
-    index = CentrelineIndex(tree)
-    cameras = frames.cameras()
-    ids, along = index.locate(frames.lps_from_tip[:, :3, 3])
+    begin = 0 if known is None else len(known.branch_ids)
+    ids, along = index.locate(frames.lps_from_tip[begin:, :3, 3])
+    if known is not None:
+        ids = np.concatenate([known.branch_ids, ids])
+        along = np.concatenate([np.zeros(begin), along])
     middle = np.zeros(len(ids), dtype=bool)
-    for n, camera in enumerate(cameras):
+    if known is not None:
+        middle[:begin] = known.lumen_in_middle
+    for n, camera in enumerate(frames.cameras()[begin:], start=begin):
         fov_rad = np.radians(frames.optics[frames.optics_number[n]].scope.usual_fov_deg)
         least = np.cos(MIDDLE_SHARE * fov_rad)
         for point in index.ahead(int(ids[n]), float(along[n]), AHEAD_MM):

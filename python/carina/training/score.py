@@ -24,6 +24,7 @@ from carina.training.events import FlightEvent
 from carina.training.flight_frames import FRAME_HZ, FlightFrames, flight_frames
 from carina.training.handling import (
     OUTSIDE_MM,
+    CentrelineIndex,
     TipPlaces,
     WallContact,
     hour_text,
@@ -251,7 +252,7 @@ def score_flight(
 
 
 class FlightScorer:
-    """Scorer of a flight, also while it grows: the openings in sight are computed once for each frame.
+    """Scorer of a flight, also while it grows: openings in sight and branches are computed once for each frame.
 
     Parameters
     ----------
@@ -279,6 +280,8 @@ class FlightScorer:
         self._tree, self._wall, self._task, self._segments = tree, wall, task, segments
         self._openings = _Openings(tree, wall, task, segments)
         self._known: OpeningSights | None = None
+        self._index = CentrelineIndex(tree)
+        self._known_places: TipPlaces | None = None
 
     def __repr__(self) -> str:
         """Return the name of the task and the number of frames whose openings are known."""
@@ -302,7 +305,7 @@ class FlightScorer:
         """
         report = progress_function(progress)
         tree, wall, task, segments, openings_of = self._tree, self._wall, self._task, self._segments, self._openings
-        places = tip_places(frames, tree)
+        places = self._known_places = tip_places(frames, self._index, self._known_places)
         wall_mm = wall.distance_mm(frames.lps_from_tip[:, :3, 3])
         first = clock_start(tree, frames, places, wall_mm, task.clock)
         last = len(wall_mm) - 1

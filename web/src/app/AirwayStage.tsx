@@ -22,8 +22,9 @@ import { fixed, mm, sentence } from "../state/format";
 import { penOffText } from "../state/pen";
 import { distanceToRouteMm, turnBefore } from "../state/plan";
 import { nextStopMm, pastMm, placeText, sideText } from "../state/route";
+import { arrowText, type TaskArrow, taskArrow } from "../state/task-arrow";
 import { worksIn } from "../state/tools";
-import { type Attempt, attemptOf, isAtQuestion, quizOf } from "../state/training";
+import { type Attempt, attemptOf, isAtQuestion, quizOf, trainingLayout } from "../state/training";
 import { cameraFromMatrix, lookingUp } from "../state/vec";
 import { wallPointLines } from "../state/wall-point";
 import { wrongBranchText } from "../state/wrong-branch";
@@ -188,8 +189,11 @@ function AirwayTools() {
   const hasRoute = useApp((state) => state.route !== null);
   const routeLineVisible = useApp((state) => state.ui.routeLineVisible);
   const watches = useApp((state) => state.watches);
+  const trains = useApp((state) => trainingLayout(state) !== undefined);
   if (session === null) return null;
   const facing = operator === "facing";
+  // Another mode of movement would end the attempt.
+  const needs = trains ? "End the task or the quiz first" : "Needs a route: choose a branch or mark a target";
   return (
     <div className="tools" role="toolbar" aria-label="Airway view" inert={watches}>
       <Choice<StateMessage["mode"]>
@@ -199,20 +203,25 @@ function AirwayTools() {
           {
             value: "path",
             label: "Path",
-            words: hasRoute
-              ? "Move along the route and look in any direction"
-              : "Needs a route: choose a branch or mark a target",
+            words: hasRoute && !trains ? "Move along the route and look in any direction" : needs,
             keys: keyOf("toggle_mode"),
-            disabled: !hasRoute,
+            disabled: !hasRoute || trains,
           },
-          { value: "free", label: "Free", words: "Move freely", keys: keyOf("toggle_mode") },
+          {
+            value: "free",
+            label: "Free",
+            words: trains ? needs : "Move freely",
+            keys: keyOf("toggle_mode"),
+            disabled: trains,
+          },
           {
             value: "scope",
             label: "Scope",
-            words: hasRoute
-              ? "A simulated bronchoscope: it bends, touches the wall and stops where the airway is too narrow"
-              : "Needs a route: choose a branch or mark a target",
-            disabled: !hasRoute,
+            words:
+              hasRoute && !trains
+                ? "A simulated bronchoscope: it bends, touches the wall and stops where the airway is too narrow"
+                : needs,
+            disabled: !hasRoute || trains,
           },
         ]}
         onChange={(mode) => station.send({ type: "set_mode", mode })}
@@ -433,8 +442,10 @@ function QuizMark({ quiz }: { quiz: QuizInfo }) {
 function AttemptReadings({ attempt }: { attempt: Attempt }) {
   const name = useApp((state) => state.pose?.branch_name ?? null);
   const { message, is_warning: isWarning, paused } = attempt.running;
+  const arrow = useTaskArrow(attempt);
   return (
     <>
+      {arrow === null || paused ? null : <ArrowMark arrow={arrow} />}
       {paused ? (
         <p className="attempt-paused" role="status" data-testid="attempt-paused">
           Paused. Press {keyOf("pause_task")} or Continue to fly on.
@@ -447,11 +458,43 @@ function AttemptReadings({ attempt }: { attempt: Attempt }) {
         <ScopeReading />
       </div>
       <div className="reading bottom-left">
+        {arrow === null ? null : <strong data-testid="arrow-text">{arrowText(arrow)}</strong>}
         <span role="status" className={isWarning ? "warning-text" : undefined} data-testid="attempt-message">
           {message === null ? "" : sentence(message)}
         </span>
       </div>
     </>
+  );
+}
+
+/** Return the direction of the next turn of a task with the hint `arrow`; null for other tasks. */
+function useTaskArrow({ running }: Attempt): TaskArrow | null {
+  const pose = useApp((state) => state.pose);
+  const tree = useApp((state) => state.tree);
+  const viewUpDeg = useApp((state) => scopeOf(state)?.view_up_deg ?? 0);
+  if (pose === null) return null;
+  return taskArrow(tree, pose, lookingUp(cameraFromMatrix(pose.lps_from_camera), viewUpDeg), running.arrow_branches);
+}
+
+/** Render the arrow to the next turn: at the clock hour of its opening, up for straight ahead, down to withdraw. */
+function ArrowMark({ arrow }: { arrow: TaskArrow }) {
+  const turned = arrow.kind === "turn" ? `rotate(${30 * arrow.hour} 50 50)` : undefined;
+  return (
+    <svg
+      className="arrow-mark"
+      viewBox="0 0 100 100"
+      data-kind={arrow.kind}
+      data-testid="arrow-mark"
+      aria-hidden="true"
+    >
+      {arrow.kind === "turn" ? (
+        <path d="M50 4 L60 22 H54 V34 H46 V22 H40 Z" transform={turned} />
+      ) : arrow.kind === "back" ? (
+        <path d="M50 96 L60 78 H54 V66 H46 V78 H40 Z" />
+      ) : (
+        <circle cx="50" cy="50" r="7" />
+      )}
+    </svg>
   );
 }
 

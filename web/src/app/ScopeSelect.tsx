@@ -2,6 +2,7 @@
 
 import { Button, ListBox, ListBoxItem, Popover, Select, SelectValue, Text } from "react-aria-components";
 import { fixed } from "../state/format";
+import { trainingLayout } from "../state/training";
 import type { Scope } from "../wire/messages";
 import { useApp, useStation } from "./context";
 import { Tip, useKeysBack } from "./controls";
@@ -27,6 +28,8 @@ export function ScopeSelect() {
   const scopes = useApp((state) => state.start?.scopes ?? null);
   const name = useApp((state) => state.look.scope);
   const hasPlans = useApp((state) => state.session?.targets.some((target) => target.has_size) === true);
+  // Another instrument would end the attempt at a task.
+  const trains = useApp((state) => trainingLayout(state) !== undefined);
   const keysBack = useKeysBack();
   if (scopes === null) return null;
   const chosen = scopes.find((scope) => scope.name === name);
@@ -39,6 +42,7 @@ export function ScopeSelect() {
     <Select
       aria-label="Scope"
       className="select scope"
+      isDisabled={trains}
       onOpenChange={keysBack.onOpenChange}
       selectedKey={name ?? NO_SCOPE}
       onSelectionChange={(key) => {

@@ -1,9 +1,11 @@
 /** Dialog with the score of a flight: the published scores, measures without a mark, segments, and faults to replay. */
 
+import { useState } from "react";
 import { Dialog, Heading, Modal, ModalOverlay } from "react-aria-components";
 import { keyOf } from "../input/keymap";
 import { sentence } from "../state/format";
 import { clock } from "../state/playing";
+import { SCORE_DEFINITIONS } from "../state/score-definitions";
 import { expertFlight, outcomeText, publishedRows, type ScoreRow, unmarkedRows } from "../state/training";
 import type { FlightScore } from "../wire/messages";
 import { useApp, useStation } from "./context";
@@ -86,6 +88,7 @@ function ScoreContent({ score }: { score: FlightScore }) {
               no pass marks.
             </p>
           )}
+          <Comparison score={score} />
         </div>
         <div>
           <table className="score-table unmarked numbers">
@@ -111,7 +114,6 @@ function ScoreContent({ score }: { score: FlightScore }) {
           <Timeline score={score} />
         </div>
       </div>
-      <Comparison score={score} />
       <Segments title="Seen" names={score.seen} />
       {/* A task other than an inspection does not ask for the other segments. */}
       {score.is_inspection ? <Segments title="Not seen" names={score.not_seen} /> : null}
@@ -122,18 +124,61 @@ function ScoreContent({ score }: { score: FlightScore }) {
           {sentence(words)}
         </p>
       ))}
-      <p className="quiet">A score is for training, and no assessment of a person. Definitions: docs/training.md</p>
+      <Definitions />
     </div>
   );
 }
 
-/** Render a score with its definition below its title. */
+/** Render the button that shows the definitions of everything that is no row of a table. */
+function Definitions() {
+  const [shown, setShown] = useState(false);
+  return (
+    <>
+      <p className="quiet">
+        A score is for training, and no assessment of a person.{" "}
+        <button
+          type="button"
+          className="definition-key"
+          aria-expanded={shown}
+          data-testid="definitions-key"
+          onClick={() => setShown(!shown)}
+        >
+          {shown ? "Hide the definitions" : "Definitions and sources"}
+        </button>
+      </p>
+      {shown ? (
+        <dl className="definitions" data-testid="definitions">
+          {SCORE_DEFINITIONS.map(({ title, words }) => (
+            <div key={title}>
+              <dt>{title}</dt>
+              <dd>{words}</dd>
+            </div>
+          ))}
+        </dl>
+      ) : null}
+    </>
+  );
+}
+
+/** Render a score; a click on its title shows the definition with its source. */
 function Row({ row }: { row: ScoreRow }) {
+  const [shown, setShown] = useState(false);
   return (
     <tr>
-      <th scope="row" title={row.words}>
-        {row.title}
-        <span className="definition">{row.words}</span>
+      <th scope="row">
+        <button
+          type="button"
+          className="definition-key"
+          title={row.words}
+          aria-expanded={shown}
+          data-testid="score-row"
+          onClick={() => setShown(!shown)}
+        >
+          {row.title}
+        </button>
+        <span className="definition" data-shown={shown || undefined}>
+          {row.words}
+        </span>
       </th>
       <td>{row.value}</td>
       {row.references.map((value, n) => (

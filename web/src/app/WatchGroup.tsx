@@ -27,7 +27,7 @@ export function WatchGroup() {
         on={page !== null}
         disabled={page === null && problem !== null}
         testId="watch-switch"
-        onChange={() => station.send({ type: "set_watch_page", on: page === null })}
+        onChange={() => station.send({ type: "set_watch_page", on: page === null, learners: false })}
       />
       {page === null ? (
         <p className="quiet">
@@ -58,6 +58,17 @@ function Open({ page }: { page: WatchPage }) {
           <span key={line}>{line}</span>
         ))}
       </p>
+      <SwitchKey
+        words={
+          page.learners
+            ? "Stops sending the learners of this machine to the watchers"
+            : "For a teacher: sends the pseudonyms, attempts and scores of all learners to everyone with the link"
+        }
+        label="Teacher's view: share the learners"
+        on={page.learners}
+        testId="watch-learners"
+        onChange={() => station.send({ type: "set_watch_page", on: true, learners: !page.learners })}
+      />
       {page.watchers.length === 0 ? (
         <p className="quiet">No observers are connected yet.</p>
       ) : (

@@ -1,8 +1,10 @@
 /** Panel that replaces the step's panel in a window that only watches. */
 
+import { attemptText } from "../state/course";
 import { sentence } from "../state/format";
 import { clock } from "../state/playing";
 import { attemptOf, outcomeText, progressText } from "../state/training";
+import type { ClassLearner } from "../wire/messages";
 import { useApp } from "./context";
 import { AttemptClock } from "./steps/TrainStep";
 
@@ -20,11 +22,15 @@ export function WatcherPanel() {
   );
 }
 
-/** Render the running attempt and the scores of this case, for a teacher; pseudonyms are not sent to watchers. */
+/**
+ * Render the running attempt and the scores of this case, and all learners if the person at the workstation shares them
+ * with a teacher.
+ */
 function WatchedTraining() {
   const attempt = useApp(attemptOf);
   const scores = useApp((state) => state.training?.scores ?? null) ?? [];
-  if (attempt === null && scores.length === 0) return null;
+  const classroom = useApp((state) => state.training?.classroom ?? null) ?? [];
+  if (attempt === null && scores.length === 0 && classroom.length === 0) return null;
   return (
     <div data-testid="watched-training">
       <h3>Training</h3>
@@ -32,6 +38,7 @@ function WatchedTraining() {
         <>
           <p>
             <strong>{attempt.task.title}</strong>
+            {attempt.running.learner === null ? null : <span> ({attempt.running.learner})</span>}
           </p>
           <AttemptClock attempt={attempt} />
           <p>{attempt.running.paused ? "Paused" : progressText(attempt)}</p>
@@ -40,6 +47,8 @@ function WatchedTraining() {
           </p>
         </>
       )}
+      <Classroom learners={classroom} />
+      {scores.length === 0 ? null : <h3>Scores of this case</h3>}
       <ul className="key-list" aria-label="Scores">
         {scores.map((score) => (
           <li key={score.flight} className="key task">
@@ -49,6 +58,32 @@ function WatchedTraining() {
               {score.is_inspection ? `, ${score.published.num_progressions} in order` : ""}
               {score.doubts.length === 0 ? "" : ", does not count"}
             </p>
+          </li>
+        ))}
+      </ul>
+    </div>
+  );
+}
+
+/** Render all learners with their latest attempts. */
+function Classroom({ learners }: { learners: readonly ClassLearner[] }) {
+  if (learners.length === 0) return null;
+  return (
+    <div data-testid="classroom">
+      <h3>Learners</h3>
+      <ul className="key-list" aria-label="Learners">
+        {learners.map(({ learner: { name, verdict }, attempts, running }) => (
+          <li key={name} className="key task" data-testid="class-learner">
+            <strong>{name}</strong>
+            {running === null ? null : <p>Flying now: {running}</p>}
+            {attempts.length === 0 ? <p className="quiet">No attempt yet</p> : null}
+            {attempts.map((one) => (
+              <p key={one.number} className="quiet numbers">
+                {one.number}. {one.title}: {attemptText(one)}
+                {one.counts || !one.is_inspection ? "" : ", does not count"}
+              </p>
+            ))}
+            <p className="quiet">{sentence(verdict)}</p>
           </li>
         ))}
       </ul>

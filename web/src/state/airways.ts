@@ -261,6 +261,21 @@ function anglesOf(direction: Vec3, camera: Camera): { x: number; y: number } {
   return { x: right * scale, y: down * scale };
 }
 
+/**
+ * Return the clock hour of a child's opening around the middle of the view, and its angle from the middle; null if the
+ * branch has no end.
+ */
+export function openingDirection(
+  { branch }: BranchNode,
+  child: BranchNode,
+  camera: Camera,
+): { readonly hour: number; readonly offDeg: number } | null {
+  const fork = tip(branch);
+  if (fork === null) return null;
+  const { x, y } = anglesOf(sub(openingOf(child, fork), camera.position), camera);
+  return { hour: clockHour(Math.atan2(x, -y)), offDeg: (Math.hypot(x, y) * 180) / Math.PI };
+}
+
 /** Return a point about one diameter beyond the fork, in a child or, if the child is shorter, in its widest child. */
 function openingOf(child: BranchNode, fork: Vec3): Vec3 {
   const far = Math.min(Math.max(child.diameterMm, OPENING_MM.least), OPENING_MM.most);

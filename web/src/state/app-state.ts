@@ -99,6 +99,8 @@ export interface Upload {
 /** State of the user interface that the server does not know. */
 export interface Ui {
   readonly step: Step;
+  /** Whether a voice of this computer speaks the feedback of an attempt. */
+  readonly voiceOn: boolean;
   readonly full: CellName | null;
   /** The view that each cell of the window shows. */
   readonly shown: ShownViews;
@@ -327,6 +329,7 @@ export const INITIAL_STATE: AppState = {
   speedMmS: null,
   ui: {
     step: "open",
+    voiceOn: false,
     full: null,
     shown: FIRST_SHOWN,
     sideBySide: false,
@@ -565,6 +568,8 @@ function trainingChanged(state: AppState, training: TrainingMessage): AppState {
   const begins = !wasBusy && (training.running !== null || training.quiz !== null);
   const awaited = training.running === null && before !== null ? before.flight : state.ui.awaitedScore;
   const isScored = awaited !== null && training.scores.some((score) => score.flight === awaited);
+  // A teacher's page shows the learners as soon as they are shared.
+  const isTeacher = training.classroom.length > 0 && (state.training?.classroom ?? []).length === 0;
   const ui: Ui = {
     ...state.ui,
     awaitedScore: isScored || training.running !== null ? null : awaited,
@@ -572,6 +577,9 @@ function trainingChanged(state: AppState, training: TrainingMessage): AppState {
     // The layout of an attempt or a quiz contains the airway view, which a full view of another picture would replace.
     full: begins ? null : state.ui.full,
     tourAt: begins ? null : state.ui.tourAt,
+    // A page that was reloaded, or another window, shows the step of the attempt, also after its end.
+    step: begins ? "train" : state.ui.step,
+    panel: begins || isTeacher ? panelOf("train") : state.ui.panel,
   };
   return { ...state, training, ui };
 }

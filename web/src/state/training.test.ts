@@ -22,6 +22,7 @@ const TASK: TaskInfo = {
   tree_shown: false,
   ghost_shown: false,
   problem: null,
+  is_own: false,
 };
 const RUNNING: RunningTask = {
   task: "inspect-all",
@@ -30,9 +31,11 @@ const RUNNING: RunningTask = {
   num_steps: 18,
   steps_done: ["RB1"],
   next_step: "RB2",
+  arrow_branches: [],
   message: null,
   is_warning: false,
   paused: false,
+  learner: null,
 };
 const SCORE: FlightScore = {
   flight: 3,
@@ -66,12 +69,23 @@ const message = (parts: Partial<TrainingMessage>): TrainingMessage => ({
   verdict: null,
   references: [],
   course: { stores: false, learners: [], chosen: null, attempts: [], problems: [] },
+  task_folder: null,
+  task_problems: [],
+  classroom: [],
   ...parts,
 });
 const stateAfter = (...messages: readonly TrainingMessage[]) =>
   messages.reduce((state, one) => reduce(state, { kind: "server", message: one }), INITIAL_STATE);
 
 describe("a running attempt", () => {
+  it("shows the step Train in a page that is loaded during the attempt, also after its end", () => {
+    expect(INITIAL_STATE.ui.step).not.toBe("train");
+    const running = stateAfter(message({ running: RUNNING }));
+    expect([running.ui.step, running.ui.panel]).toEqual(["train", "step"]);
+    expect(stateAfter(message({ running: RUNNING }), message({})).ui.step).toBe("train");
+    expect(stateAfter(message({})).ui.step).toBe("open");
+  });
+
   it("hides names only while its task hides them", () => {
     expect(hidesNames(INITIAL_STATE)).toBe(false);
     expect(hidesNames(stateAfter(message({ running: RUNNING })))).toBe(true);
@@ -144,9 +158,9 @@ describe("the score of an attempt", () => {
 
   it("states the denominator of the case beside 18", () => {
     const rows = publishedRows(SCORE, []);
-    expect(rows[0]?.value).toBe("4 of 18; this case has 17");
+    expect(rows[0]?.value).toBe("4\u00a0of\u00a018; this case has 17");
     const whole = { ...SCORE, not_seen: [...SCORE.not_seen, "RB7"], absent: [] };
-    expect(publishedRows(whole, [])[0]?.value).toBe("4 of 18");
+    expect(publishedRows(whole, [])[0]?.value).toBe("4\u00a0of\u00a018");
   });
 
   it("shows published values beside published scores only", () => {

@@ -115,13 +115,13 @@ export function publishedRows(score: FlightScore, groups: readonly ReferenceScor
   return [
     {
       title: "Diagnostic completeness",
-      value: `${found.num_seen} of ${NUM_PUBLISHED}${ofCase}`,
+      value: `${found.num_seen}\u00a0of\u00a0${NUM_PUBLISHED}${ofCase}`,
       words: "Number of segments seen. Copenhagen group; Carina's definition of seen is in the guide on training.",
       references: groups.map((one) => fixed(one.num_seen)),
     },
     {
       title: "Structured progress",
-      value: `${found.num_progressions} of ${NUM_PUBLISHED}${ofCase}`,
+      value: `${found.num_progressions}\u00a0of\u00a0${NUM_PUBLISHED}${ofCase}`,
       words:
         "Number of moves from one segment to the next in ascending order. " +
         "Cold 2020, J Thorac Dis, 10.21037/jtd-20-2181.",
@@ -158,25 +158,35 @@ export function unmarkedRows({ unmarked: found, is_inspection, ...score }: Fligh
           row(
             "Wrong segments or branches",
             fixed(score.num_wrong),
-            "Visited or entered before the task was completed.",
+            "Visited or entered before the task was completed. Definition of Carina.",
           ),
         ]),
-    row("Path of the tip", mm(found.path_mm, 0), "Sum of the movements of the tip."),
+    row(
+      "Path of the tip",
+      mm(found.path_mm, 0),
+      "Sum of the movements of the tip. Economy of path separates experts from novices: Moorthy 2003.",
+    ),
     row(
       "Smoothness",
       found.smoothness === null ? "not known" : fixed(found.smoothness, 1),
-      "Minus the logarithm of the dimensionless jerk; larger is smoother. Hogan and Sternad 2009.",
+      "Minus the logarithm of the dimensionless jerk; larger is smoother. Hogan and Sternad 2009, from general knowledge.",
     ),
     row(
       "Wall contacts",
       `${found.num_contacts} (${seconds(found.contact_s)})`,
-      "Number and duration of touches: the tip is within 0.1 mm of the wall. The force is not measured.",
+      "Number and duration of touches: the tip is within 0.1 mm of the wall, a definition of Carina. The force is not " +
+        "measured. Wall collisions separate experts from novices: Moorthy 2003.",
     ),
-    row("Red-out", seconds(found.red_out_s), "Time with the lens so near to the wall that the picture is red."),
+    row(
+      "Red-out",
+      seconds(found.red_out_s),
+      "Time with the lens so near to the wall that the picture is at least half red. Definition of Carina.",
+    ),
     row(
       "Lumen in the middle",
       `${fixed(100 * found.middle_share)} %`,
-      "Share of the time with the centreline 10 mm ahead near the middle of the picture.",
+      "Share of the time with the centreline 10 mm ahead within a quarter of the field of view from the middle, a " +
+        "definition of Carina. Share of time on the axis: Nature Communications 2023, s41467-023-44385-7.",
     ),
   ];
 }

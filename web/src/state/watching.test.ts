@@ -14,7 +14,7 @@ describe("window that only watches", () => {
   });
 
   it("The top bar states the number of watchers.", () => {
-    const page = { url: "", address: "", sha256: "", num_refused: 0, watchers: [] };
+    const page = { url: "", address: "", sha256: "", num_refused: 0, watchers: [], learners: false };
     const watcher = { number: 1, address: "192.0.2.1", since_s: 0 };
     expect(watchingText(page)).toBe("on the network");
     expect(watchingText({ ...page, watchers: [watcher] })).toBe("1 person watching");

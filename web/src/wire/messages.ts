@@ -740,6 +740,11 @@ export interface ScoreFlightMessage {
   readonly task?: string | null;
 }
 
+/** Read the tasks of teachers and the learners again, which other programs may have changed. */
+export interface ReadTrainingFilesMessage {
+  readonly type: "read_training_files";
+}
+
 /** Mark a recorded flight as the expert's, with which other flights are compared; null removes the mark. */
 export interface MarkExpertMessage {
   readonly type: "mark_expert";
@@ -923,10 +928,13 @@ export interface AskStorageMessage {
   readonly type: "ask_storage";
 }
 
-/** Open the viewing page in the local network with a new certificate and link, or close it. */
+/** Open the viewing page in the local network with a new certificate and link, or close it.
+
+    If the page is open, `on` leaves the link unchanged. */
 export interface SetWatchPageMessage {
   readonly type: "set_watch_page";
   readonly on: boolean;
+  readonly learners?: boolean;
 }
 
 /** Disconnect an observer, and replace the link so that the previous link no longer works. */
@@ -1911,6 +1919,7 @@ export interface WatchPage {
   readonly sha256: string;
   readonly num_refused: number;
   readonly watchers: readonly Watcher[];
+  readonly learners: boolean;
 }
 
 /** State of the observer page; never sent to observers. */
@@ -2154,6 +2163,7 @@ export interface TaskInfo {
   readonly tree_shown: boolean;
   readonly ghost_shown: boolean;
   readonly problem: string | null;
+  readonly is_own: boolean;
 }
 
 /** The attempt at a task that is being flown. */
@@ -2164,9 +2174,11 @@ export interface RunningTask {
   readonly num_steps: number;
   readonly steps_done: readonly string[];
   readonly next_step: string | null;
+  readonly arrow_branches: readonly number[];
   readonly message: string | null;
   readonly is_warning: boolean;
   readonly paused: boolean;
+  readonly learner: string | null;
 }
 
 /** A running quiz: its present question, and the answers so far. */
@@ -2291,6 +2303,13 @@ export interface CourseInfo {
   readonly problems: readonly string[];
 }
 
+/** A learner in the teacher's view. */
+export interface ClassLearner {
+  readonly learner: LearnerInfo;
+  readonly attempts: readonly CourseAttemptInfo[];
+  readonly running: string | null;
+}
+
 /** Tasks, the running attempt or quiz, and scores of flights.
 
     Sent after each change, and each second during an attempt. */
@@ -2303,6 +2322,9 @@ export interface TrainingMessage {
   readonly verdict: string | null;
   readonly references: readonly ReferenceScores[];
   readonly course: CourseInfo;
+  readonly task_folder: string | null;
+  readonly task_problems: readonly string[];
+  readonly classroom: readonly ClassLearner[];
 }
 
 /** A branch of a `carina-tree` document. */
@@ -2684,6 +2706,7 @@ export type ClientMessage =
   | PauseTaskMessage
   | StopTaskMessage
   | ScoreFlightMessage
+  | ReadTrainingFilesMessage
   | MarkExpertMessage
   | CompareFlightMessage
   | AddLearnerMessage

@@ -15,6 +15,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 
+from msgspec.structs import replace
 from starlette.applications import Starlette
 from starlette.requests import Request
 from starlette.responses import FileResponse, Response
@@ -106,6 +107,8 @@ class ObserverPageServer:
         self._address = address
         self._open: _OpenPage | None = None
         self._switching = asyncio.Lock()
+        self.shares_learners = False
+        """Whether observers receive the learners of the training; False whenever the page is closed."""
 
     @cached_property
     def problem(self) -> str | None:
@@ -123,7 +126,7 @@ class ObserverPageServer:
 
     def info(self) -> wire.WatchPage | None:
         """Return the state of the page for the wire; None while the page is closed."""
-        return None if self._open is None else self._open.info()
+        return None if self._open is None else replace(self._open.info(), learners=self.shares_learners)
 
     async def start(self) -> None:
         """Open the page with a new key, certificate and token; do nothing if it is open already.
@@ -176,6 +179,7 @@ class ObserverPageServer:
             if opened is None:
                 return
             opened.is_closing = True
+            self.shares_learners = False
             if opened.watchers:
                 opened.nobody.clear()
                 for window, _ in opened.watchers.values():

@@ -7,7 +7,9 @@ import logging
 from collections.abc import Callable
 from typing import Any
 
-from carina.commands import LungsOf, PlanningOf, TrainingOf
+from msgspec.structs import replace
+
+from carina.commands import ClassroomOf, LungsOf, PlanningOf, TrainingOf
 from carina.errors import UsageError
 from carina.export.video import video_problem
 from carina.server.to_wire.lungs import lungs_message
@@ -16,7 +18,7 @@ from carina.server.to_wire.session import key_frames_message, route_message, sta
 from carina.server.to_wire.tree import tree_message
 from carina.server.windows.outbox import Outbox
 from carina.server.wire import messages as wire
-from carina.session import CourseInfo, Session, log_fault
+from carina.session import CourseInfo, Session, TrainingInfo, log_fault
 from carina.volume import Citation
 
 logger = logging.getLogger(__name__)
@@ -138,20 +140,22 @@ class SharedTexts:
         standing = (info.standing, info.problem, info.reach_standing, info.reach_problem)
         return self._cached_text("lungs", lambda: lungs_message(info), *made, *standing)
 
-    def training(self, *, with_learners: bool = True) -> str:
+    def training(self) -> str:
         """Return the encoded tasks, running attempt and scores of the open case, and the learners of this machine."""
+        return wire.encode_message(_training_message(self._session.ask(TrainingOf())))
+
+    def observed_training(self, *, with_learners: bool) -> str:
+        """Return the encoded training for observers: no folders or file names, and learners only if they are shared."""
         info = self._session.ask(TrainingOf())
-        return wire.encode_message(
-            wire.TrainingMessage(
-                info.tasks,
-                info.running,
-                info.quiz,
-                info.scores,
-                info.verdict,
-                info.references,
-                info.course if with_learners else CourseInfo(),
-            )
+        running = info.running
+        if running is not None and not with_learners:
+            running = replace(running, learner=None)
+        shown = replace(
+            _training_message(info), task_folder=None, task_problems=(), running=running, course=CourseInfo()
         )
+        if with_learners:
+            shown = replace(shown, classroom=self._session.ask(ClassroomOf()))
+        return wire.encode_message(shown)
 
     def flights(self) -> str:
         """Return the encoded list of flights recorded in the case."""
@@ -210,3 +214,17 @@ def _are_same(values: tuple[object, ...], others: tuple[object, ...] | None) -> 
     if others is None or len(values) != len(others):
         return False
     return all(a is b for a, b in zip(values, others, strict=True))
+
+
+def _training_message(info: TrainingInfo) -> wire.TrainingMessage:
+    return wire.TrainingMessage(
+        tasks=info.tasks,
+        task_folder=info.task_folder,
+        task_problems=info.task_problems,
+        running=info.running,
+        quiz=info.quiz,
+        scores=info.scores,
+        verdict=info.verdict,
+        references=info.references,
+        course=info.course,
+    )

@@ -48,6 +48,10 @@ class Host(Protocol):
     simd: str
     texts: SharedTexts
 
+    @property
+    def shares_learners(self) -> bool:
+        """Whether observers receive the learners of the training."""
+
     def in_loop(self, function: Callable[..., None], *arguments: Any) -> None:
         """Call a function in the event loop; callable from any thread."""
 

@@ -162,9 +162,14 @@ class AskStorage(ClientMessage, frozen=True):
 
 
 class SetWatchPage(ClientMessage, frozen=True):
-    """Open the viewing page in the local network with a new certificate and link, or close it."""
+    """Open the viewing page in the local network with a new certificate and link, or close it.
+
+    If the page is open, ``on`` leaves the link unchanged.
+    """
 
     on: bool
+    learners: bool = False
+    """Whether observers receive the learners of the training, for a teacher: pseudonyms, attempts and scores."""
 
 
 class SendAway(ClientMessage, frozen=True):

@@ -444,6 +444,8 @@ class WatchPage(NetworkPage, frozen=True, kw_only=True):
     """The observer page, through which people on the local network see the images of the patient."""
 
     watchers: tuple[Watcher, ...]
+    learners: bool = False
+    """Whether observers receive the learners of the training."""
 
 
 class Watching(ServerMessage, frozen=True):

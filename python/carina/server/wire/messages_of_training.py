@@ -8,7 +8,7 @@ from msgspec import Meta
 
 from carina.commands.fields import Words
 from carina.server.wire.codec import ServerMessage
-from carina.session import CourseInfo, FlightScore, QuizInfo, ReferenceScores, RunningTask, TaskInfo
+from carina.session import ClassLearner, CourseInfo, FlightScore, QuizInfo, ReferenceScores, RunningTask, TaskInfo
 
 
 class TrainingMessage(ServerMessage, frozen=True):
@@ -26,4 +26,10 @@ class TrainingMessage(ServerMessage, frozen=True):
     """Verdict on mastery over the inspections among these flights; null without one."""
     references: Annotated[tuple[ReferenceScores, ...], Meta(max_length=100)]
     course: CourseInfo
-    """Learners of this machine, and the attempts of the chosen one."""
+    """Learners of this machine, and the attempts of the chosen one; without learners for observers."""
+    task_folder: Words | None = None
+    """Folder of the tasks of teachers; null if the session has none, and for observers."""
+    task_problems: Annotated[tuple[Words, ...], Meta(max_length=1000)] = ()
+    """Files of this folder without a usable task, each with the reason; empty for observers."""
+    classroom: Annotated[tuple[ClassLearner, ...], Meta(max_length=1000)] = ()
+    """All learners with their latest attempts: only for observers, and only while the user shares the learners."""

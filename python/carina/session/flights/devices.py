@@ -84,7 +84,10 @@ class DeviceHandlers(CommandHandlers):
         """Remove a disconnected device from the open case; do nothing while no case is open."""
         with self.core.lock:
             if self.core.case is not None:
+                moved_tip = self.core.case.pilot.holder == command.device
                 self.core.case.pilot.apply(command)
+                if moved_tip:
+                    self.core.device_lost(command.device)
 
     def frame(self) -> bool:
         """Move the tip towards the newest sample; return True while the motion continues without a further sample."""

@@ -68,10 +68,10 @@ class FlightRecorder(CommandHandlers):
         flight = None if self._recorder is None else self._flight()
         return None if flight is None else flight.recording_id
 
-    def note_task(self, task: dict[str, Any]) -> None:
-        """Record the beginning of an attempt at a task; the caller holds the session's lock."""
+    def note_task(self, task: dict[str, Any], learner: str | None) -> None:
+        """Record the beginning of an attempt at a task by a learner's key; the caller holds the session's lock."""
         if self._recorder is not None:
-            self._recorder.note_task(task, self.core.clock())
+            self._recorder.note_task(task, self.core.clock(), learner)
 
     def note_task_end(self, outcome: TaskOutcome) -> None:
         """Record the end of the attempt; the caller holds the session's lock."""

@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 from msgspec import Meta
 
-from carina.commands.fields import Count, FlightNumber, OwnName, Wide, Words
+from carina.commands.fields import BranchId, Count, FlightNumber, OwnName, Wide, Words
 from carina.value import FrozenValue, Part
 
 
@@ -26,6 +26,8 @@ class TaskInfo(FrozenValue, frozen=True):
     """Whether the window shows the expert's tip during an attempt, if the case has an expert's flight."""
     problem: Words | None
     """Reason why the open case is unsuitable for the task; null if it is suitable."""
+    is_own: bool = False
+    """Whether the task is a teacher's own, from the folder of tasks."""
 
 
 class RunningTask(FrozenValue, frozen=True):
@@ -41,12 +43,16 @@ class RunningTask(FrozenValue, frozen=True):
     steps_done: tuple[Words, ...] = ()
     next_step: Words | None = None
     """The next step in the order of the task; null without an order, or if names are hidden."""
+    arrow_branches: tuple[BranchId, ...] = ()
+    """Branches to which the arrow leads: the next step of a task with the hint ``arrow``; empty without an arrow."""
     message: Words | None = None
     """The latest event of the flight, for a few seconds."""
     is_warning: bool = False
     """Whether the message reports a fault, such as a wrong branch or a contact with the wall."""
     paused: bool = False
     """Whether the attempt is paused: the clock stands still, and the tip does not move."""
+    learner: OwnName | None = None
+    """Pseudonym of the learner to whom the score is stored, who was chosen at the start; null stores no score."""
 
 
 class ScoreMoment(FrozenValue, frozen=True):
@@ -218,10 +224,24 @@ class CourseInfo(FrozenValue, frozen=True):
     """Files that cannot be read, and scores that could not be stored yet."""
 
 
+class ClassLearner(FrozenValue, frozen=True):
+    """A learner in the teacher's view."""
+
+    learner: LearnerInfo
+    attempts: tuple[CourseAttemptInfo, ...]
+    """The latest attempts, the oldest first."""
+    running: Words | None = None
+    """Task and progress while the learner flies, on any machine that uses the same folder of learners."""
+
+
 class TrainingInfo(FrozenValue, frozen=True):
     """Tasks, the running attempt or quiz, and scores of flights of the open case."""
 
     tasks: tuple[TaskInfo, ...] = ()
+    task_folder: Words | None = None
+    """Folder of the tasks of teachers; null if the session has none."""
+    task_problems: tuple[Words, ...] = ()
+    """Files of this folder without a usable task, each with the reason."""
     running: RunningTask | None = None
     quiz: QuizInfo | None = None
     scores: tuple[FlightScore, ...] = ()

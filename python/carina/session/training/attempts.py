@@ -9,6 +9,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import msgspec
+
 from carina import commands as c
 from carina.case.document import Document
 from carina.case.scope_choice import document_with_scope
@@ -25,7 +27,7 @@ from carina.session.flights.tip_commands import place_pose
 from carina.session.jobs.background_jobs import Job
 from carina.session.open_case.open_case import OpenCase, as_point
 from carina.session.state.snapshot import UserMessage
-from carina.session.state.training import TaskInfo, TrainingInfo
+from carina.session.state.training import RunningTask, TaskInfo, TrainingInfo
 from carina.session.training.course import CourseHandlers
 from carina.session.training.live_attempt import LiveAttempt
 from carina.session.training.planned_tasks import planned_task
@@ -35,8 +37,10 @@ from carina.track import Airways, AirwayTree
 from carina.training import (
     CaseSegment,
     FlightComparison,
+    FolderTasks,
     Score,
     Task,
+    TaskFolder,
     find_task,
     flight_frames,
     score_flight,
@@ -62,6 +66,27 @@ AIRWAYS_CHANGED = "the airways have changed"
 SCOPE_REMOVED = "the scope was taken out of the airways"
 SCOPE_CHANGED = "the instrument was changed"
 RECORDING_STOPPED = "the recording was stopped"
+DEVICE_LOST = (
+    "{device} was disconnected: the task continues, and the clock runs. Connect the device again, use another one, or "
+    "choose End the task"
+)
+CASE_CLOSED = (
+    "the task ended early, because the case was closed: its flight is stored in the case; open the case again and "
+    "choose Score it. The attempt does not count"
+)
+
+
+REFUSED_COMMANDS = (
+    # These commands take the scope out of the airways, or change it.
+    c.SetMode, c.ToggleMode, c.GoTo, c.NextFork, c.PreviousFork, c.Place, c.PlacePose, c.ShowPlace, c.SetScope,
+    c.FlyFlight, c.FlyKeyFrames, c.ShowKeyFrame, c.SeeTurn, c.StartQuiz,
+    # This command stops the recording.
+    c.StopRecording,
+    # These commands change the airways, or the instrument, or restore former ones.
+    c.EditTree, c.SetRoot, c.SetLumenThreshold, c.TakeMask, c.AnswerMask, c.Undo, c.Redo, c.GoToStep,
+)  # fmt: skip
+"""Commands that would end a running attempt, which are refused until the user ends the attempt."""
+TASK_RUNS = "a task is running, and this would end the attempt: choose End the task first"
 
 
 @dataclass(slots=True)
@@ -91,6 +116,8 @@ class TrainingHandlers(CommandHandlers):
         The learners, to whom scored attempts are stored.
     text
         Returns the lines of a flight by its number; the call may wait for the disk.
+    tasks
+        Folder of the tasks of teachers; None for the built-in tasks only.
     """
 
     def __init__(
@@ -100,8 +127,14 @@ class TrainingHandlers(CommandHandlers):
         quizzes: QuizHandlers,
         course: CourseHandlers,
         text: Callable[[int], str],
+        *,
+        tasks: TaskFolder | None,
     ) -> None:
         super().__init__(core)
+        core.device_lost = self._device_lost
+        self._tasks = tasks
+        self._own_read: FolderTasks | None = FolderTasks() if tasks is None else None
+        """Tasks of teachers; None before the first reading."""
         self._course = course
         self._quizzes = quizzes
         self._recorder = recorder
@@ -110,7 +143,26 @@ class TrainingHandlers(CommandHandlers):
         self._segments: Cached[Airways | None, tuple[CaseSegment, ...]] = Cached(
             lambda airways: () if airways is None else segments_of_case(airways.tree)
         )
-        self._suitable: Cached[Document, tuple[TaskInfo, ...]] = Cached(task_infos, same=_same_tasks)
+        self._suitable: Cached[tuple[Document, FolderTasks], tuple[TaskInfo, ...]] = Cached(
+            lambda state: task_infos(*state), same=_same_tasks
+        )
+
+    def _own_tasks(self) -> FolderTasks:
+        """Return the tasks of teachers, without reading the disk again."""
+        if self._own_read is None and self._tasks is not None:
+            self._own_read = self._tasks.read()
+        return self._own_read or FolderTasks()
+
+    def _find_task(self, name: str) -> Task:
+        return find_task(name) if self._tasks is None else self._tasks.find(name)
+
+    @does(c.ReadTrainingFiles)
+    def read_files(self, _command: c.ReadTrainingFiles) -> None:
+        """Read the tasks of teachers and the learners again; the disk is read without the session's lock."""
+        if self._tasks is not None:
+            self._own_read = self._tasks.read()
+        self._course.read_files()
+        self.core.changed("training")
 
     def _of(self, case: OpenCase) -> _CaseTraining:
         """Return the attempt and the scores of a case; the caller holds the session's lock."""
@@ -119,6 +171,21 @@ class TrainingHandlers(CommandHandlers):
         return self._state
 
     # ------------------------------------------------------------ the attempt
+
+    def refuse(self, command: c.Command) -> None:
+        """Refuse a command that would end the running attempt; the caller holds the session's lock.
+
+        Raises
+        ------
+        UsageError
+            ``training.running``: while an attempt is running.
+        """
+        case = self.core.case
+        if case is None or self._of(case).attempt is None or not isinstance(command, REFUSED_COMMANDS):
+            return
+        if isinstance(command, c.SetMode) and command.mode == "scope":
+            return
+        raise UsageError(TASK_RUNS, code="training.running")
 
     @does(c.StartTask)
     def start(self, command: c.StartTask) -> None:
@@ -132,7 +199,7 @@ class TrainingHandlers(CommandHandlers):
         UsageError
             ``session.recording``: if a recording is running, or if the case is not stored.
         """
-        case, task = self.core.needed_case(), find_task(command.task)
+        case, task = self.core.needed_case(), self._find_task(command.task)
         with self.core.lock:
             task = planned_task(task, case.document)
             airways = case.document.airways
@@ -143,11 +210,20 @@ class TrainingHandlers(CommandHandlers):
                 raise UsageError("a recording is running; stop it first", code="session.recording")
             if not self.core.saving().keeps:
                 raise UsageError(NOT_STORED, code="session.recording")
+            learner = self._course.chosen_key()
             case.wall.again()
-            case.wall.want(airways, then=lambda _: self._begin(case, airways, task))
+            case.wall.want(airways, then=lambda _: self._begin(case, airways, task, learner))
 
-    def _begin(self, case: OpenCase, airways: Airways, task: Task) -> None:
-        """Insert the scope and start the recording; the caller holds the session's lock."""
+    def _begin(self, case: OpenCase, airways: Airways, task: Task, learner: str | None) -> None:
+        """Insert the scope and start the recording; the caller holds the session's lock.
+
+        Parameters
+        ----------
+        case, airways, task
+            The case, its airways and the task.
+        learner
+            Key of the learner who started the task; a later choice of another learner does not change the owner.
+        """
         wall = case.wall.of(airways)
         if self.core.case is not case or case.document.airways is not airways or wall is None:
             return
@@ -167,7 +243,7 @@ class TrainingHandlers(CommandHandlers):
         case.pilot.wall, case.pilot.wall_made_from = wall.field, wall.made_from
         self.core.fly(LayScope(scope.name, way, ENTRY_MM))
         case.scope.inserted = scope.name
-        self._recorder.note_task(task_to_json(task))
+        self._recorder.note_task(task_to_json(task), learner)
         flight = self._recorder.flight_number
         assert flight is not None
         look = case.document.look
@@ -180,7 +256,7 @@ class TrainingHandlers(CommandHandlers):
             flight=flight,
             begun_s=self.core.clock(),
             pose=case.navigator.pose,
-            learner=self._course.chosen,
+            learner=learner,
         )
         self.core.changed("training", "flights", "state", "pose", "views")
         threading.Thread(target=self._watch, args=(case, attempt), name="carina-attempt", daemon=True).start()
@@ -204,6 +280,12 @@ class TrainingHandlers(CommandHandlers):
                 self._release_tip(case)
             self.core.changed("training")
 
+    def _device_lost(self, device: str) -> None:
+        """Report that the device of a running attempt was disconnected; the caller holds the session's lock."""
+        case = self.core.case
+        if case is not None and self._of(case).attempt is not None:
+            self.core.emit(UserMessage(DEVICE_LOST.format(device=device)))
+
     def _release_tip(self, case: OpenCase) -> None:
         """Let the tip move again after a pause; the caller holds the session's lock."""
         if self.core.tip_held:
@@ -226,6 +308,7 @@ class TrainingHandlers(CommandHandlers):
         """Follow an attempt until it ends; runs in a thread of the attempt."""
         while self.follow_attempt(case, attempt) and not attempt.ended.wait(SAMPLE_S):
             pass
+        self._course.note_running(attempt.learner, None)
 
     def follow_attempt(self, case: OpenCase, attempt: LiveAttempt) -> bool:
         """Sample the tip, update the score once a second, and end an attempt that is over.
@@ -241,8 +324,10 @@ class TrainingHandlers(CommandHandlers):
             # The score of a long flight takes seconds; the views and the samples of the tip need this time, too.
             attempt.pause_s = PAUSE_SHARE * (self.core.clock() - now_s)
             with self.core.lock:
-                if self.core.case is case and self._of(case).attempt is attempt:
-                    self.core.changed("training")
+                if self.core.case is not case or self._of(case).attempt is not attempt:
+                    return False
+                self.core.changed("training")
+            self._course.note_running(attempt.learner, attempt.info(now_s), attempt.task.title)
         return True
 
     def _sample(self, case: OpenCase, attempt: LiveAttempt) -> bool:
@@ -281,7 +366,7 @@ class TrainingHandlers(CommandHandlers):
         if reason is not None:
             self.core.emit(UserMessage(f"the task ended early, and the attempt does not count: {reason}"))
         self.core.changed("training", "flights", "state")
-        self._start_scoring(case, attempt.flight, attempt.task, learner=attempt.learner)
+        self._start_scoring(case, attempt.flight, attempt.task)
 
     def follow(self, case: OpenCase) -> None:
         """End the attempt after a change of the airways; the caller holds the session's lock."""
@@ -291,6 +376,9 @@ class TrainingHandlers(CommandHandlers):
 
     def discard(self) -> None:
         """Release attempt and scores, because their case is being closed; the caller holds the session's lock."""
+        if self._state is not None and self._state.attempt is not None:
+            self._state.attempt.ended.set()
+            self.core.emit(UserMessage(CASE_CLOSED))
         self._state = None
         self.core.tip_held = False
 
@@ -309,7 +397,7 @@ class TrainingHandlers(CommandHandlers):
             ``training.no-airways``: without airways.
         """
         case = self.core.needed_case()
-        task = None if command.task is None else find_task(command.task)
+        task = None if command.task is None else self._find_task(command.task)
         with self.core.lock:
             task = None if task is None else planned_task(task, case.document)
             flight = needed_flight(case, command.number)
@@ -317,19 +405,19 @@ class TrainingHandlers(CommandHandlers):
                 raise UsageError(f"{flight.name} is still being recorded; stop it first", code="session.flights")
             if case.document.airways is None:
                 raise NoResultError("a score needs the airways: wait for the search", code="training.no-airways")
-            return self._start_scoring(case, command.number, task, learner=self._course.chosen)
+            return self._start_scoring(case, command.number, task)
 
-    def _start_scoring(self, case: OpenCase, number: int, task: Task | None, *, learner: str | None) -> str:
-        """Start the job that scores a flight, and stores the attempt of a learner; the caller holds the lock."""
+    def _start_scoring(self, case: OpenCase, number: int, task: Task | None) -> str:
+        """Start the job that scores a flight, and stores it for the learner who flew; the caller holds the lock."""
         airways = case.document.airways
 
         def work(job: Job) -> None:
             if airways is None:
                 raise NoResultError("a score needs the airways: wait for the search", code="training.no-airways")
             recording, found = self.scored(case, airways, number, task, job)
-            # Only a flight that states its task is an attempt.
-            if learner is not None and recording.task is not None:
-                self._course.record(learner, found)
+            # The recording states the learner who flew, and the task of the attempt.
+            if recording.learner is not None and recording.task == task_to_json(found.task):
+                self._course.record(recording.learner, found)
             with self.core.lock:
                 job.check()
                 if self.core.case is not case:
@@ -394,18 +482,21 @@ class TrainingHandlers(CommandHandlers):
         if case is None:
             with self.core.lock:
                 return TrainingInfo(course=self._course.info())
+        own = self._own_tasks()
         with self.core.lock:
             state = self._of(case)
-            tasks = self._suitable.of(case.document)
+            tasks = self._suitable.of((case.document, own))
             numbers = [one.recording_id for one in case.flights.listed]
             listed = [(number, state.scores[number]) for number in numbers if number in state.scores]
             quiz = self._quizzes.info_of(case)
-            running = None if state.attempt is None else state.attempt.info(self.core.clock())
+            running = None if state.attempt is None else self._running(state.attempt)
             course = self._course.info()
             compared = dict(state.comparisons)
             segments = self._segments.of(case.document.airways)
         return TrainingInfo(
             tasks=tasks,
+            task_folder=None if self._tasks is None else str(self._tasks.folder),
+            task_problems=own.problems,
             running=running,
             quiz=quiz,
             scores=tuple(flight_score(number, one, segments, compared.get(number)) for number, one in listed),
@@ -413,6 +504,11 @@ class TrainingHandlers(CommandHandlers):
             references=references(),
             course=course,
         )
+
+    def _running(self, attempt: LiveAttempt) -> RunningTask:
+        """Return the running attempt for the windows; the caller holds the session's lock."""
+        info = attempt.info(self.core.clock())
+        return msgspec.structs.replace(info, learner=self._course.name_of(attempt.learner))
 
 
 def entry_way(tree: AirwayTree) -> tuple[tuple[float, float, float], ...]:
@@ -422,6 +518,7 @@ def entry_way(tree: AirwayTree) -> tuple[tuple[float, float, float], ...]:
     return tuple(as_point(point) for point in tree.route_to(end).points_lps)
 
 
-def _same_tasks(a: Document, b: Document) -> bool:
+def _same_tasks(one: tuple[Document, FolderTasks], other: tuple[Document, FolderTasks]) -> bool:
     """Return whether two documents suit the same tasks."""
-    return a.airways is b.airways and a.route is b.route and a.targets is b.targets
+    a, b = one[0], other[0]
+    return one[1] is other[1] and a.airways is b.airways and a.route is b.route and a.targets is b.targets

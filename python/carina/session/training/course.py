@@ -9,14 +9,25 @@ from carina import commands as c
 from carina.errors import CarinaError, UsageError
 from carina.session.command_registry import CommandHandlers, answers, does
 from carina.session.state.snapshot import ErrorEvent
-from carina.session.state.training import CourseAttemptInfo, CourseInfo, LearnerInfo, PublishedScores
+from carina.session.state.training import (
+    ClassLearner,
+    CourseAttemptInfo,
+    CourseInfo,
+    LearnerInfo,
+    PublishedScores,
+    RunningTask,
+)
 from carina.training import Course, Learner, Score, learner_files
 from carina.training.course import CourseAttempt
 from carina.training.mastery import NOT_AN_INSPECTION
+from carina.training.running_tasks import RunningTasks
 
 if TYPE_CHECKING:
     from carina.session.core import SessionCore
 
+CLASS_ATTEMPTS = 5
+"""Number of attempts of each learner in the teacher's view."""
+NO_LEARNER = "the score was not stored: the learner who flew this attempt is not on this machine"
 NO_COURSE = "this session stores no learners: start Carina with a folder for its data"
 
 
@@ -35,16 +46,53 @@ class CourseHandlers(CommandHandlers):
         super().__init__(core)
         self._course = course
         self._chosen: str | None = None
+        """Key of the chosen learner."""
         self._unstored: list[tuple[str, Score]] = []
-        """Scores that could not be stored, each with its learner; they are stored with the next score."""
+        """Scores that could not be stored, each with its learner's key; they are stored with the next score."""
         self._info: CourseInfo | None = None
+        self._running = None if course is None else RunningTasks(course.folder)
+        self._flown: dict[str, str] = {}
+        """Task and progress of each learner who flies now, on any machine that uses the folder, by the key."""
+        self._read: tuple[tuple[Learner, ...], tuple[str, ...]] | None = None
+        """Learners and problems at the latest reading; None before the first."""
         self._summaries: dict[str, tuple[Learner, LearnerInfo]] = {}
         """Summary of each learner, for as long as the learner's file is unchanged."""
 
-    @property
-    def chosen(self) -> str | None:
-        """Pseudonym of the chosen learner; None without one. The caller holds the session's lock."""
-        return self._chosen
+    def chosen_key(self) -> str | None:
+        """Return the key of the chosen learner; None without one. The caller holds the session's lock."""
+        return next((one.key for one in self._learners() if one.key == self._chosen), None)
+
+    def name_of(self, key: str | None) -> str | None:
+        """Return the pseudonym of a learner by the key; None if this machine has no such learner."""
+        return None if not key else next((one.name for one in self._learners() if one.key == key), None)
+
+    def read_files(self) -> None:
+        """Read the learners again; the caller does not hold the session's lock, since a disk may be slow."""
+        course = self._course
+        if course is not None:
+            found = course.learners(), course.problems()
+            flown = {} if self._running is None else self._running.read()
+            with self.core.lock:
+                self._read, self._flown, self._info = found, flown, None
+
+    def note_running(self, key: str | None, running: RunningTask | None, title: str = "") -> None:
+        """Store what a learner flies for a teacher, or its end; called without the session's lock."""
+        if key is None or self._running is None:
+            return
+        if running is None:
+            self._running.end(key)
+        else:
+            text = f"{title}: {len(running.steps_done)} of {running.num_steps} steps"
+            self._running.note(key, f"{text}, {running.elapsed_s:.0f} s", running.elapsed_s)
+
+    def _known(self) -> tuple[tuple[Learner, ...], tuple[str, ...]]:
+        """Return learners and problems without reading the disk again."""
+        if self._read is None:
+            self._read = ((), ()) if self._course is None else (self._course.learners(), self._course.problems())
+        return self._read
+
+    def _learners(self) -> tuple[Learner, ...]:
+        return self._known()[0]
 
     @does(c.AddLearner)
     def add(self, command: c.AddLearner) -> None:
@@ -56,7 +104,7 @@ class CourseHandlers(CommandHandlers):
             ``training.learner``: if the pseudonym is invalid or in use, or if the session stores no learners.
         """
         made = self._needed().add(command.name)
-        self._change(made.name)
+        self._change(made.key)
 
     @does(c.ChooseLearner)
     def choose(self, command: c.ChooseLearner) -> None:
@@ -67,7 +115,7 @@ class CourseHandlers(CommandHandlers):
         UsageError
             ``training.learner``: if there is no such learner.
         """
-        self._change(None if command.name is None else self._needed().learner(command.name).name)
+        self._change(None if command.name is None else self._needed().learner(command.name).key)
 
     @does(c.RemoveLearner)
     def remove(self, command: c.RemoveLearner) -> None:
@@ -79,11 +127,11 @@ class CourseHandlers(CommandHandlers):
             ``training.learner``: if there is no such learner.
         """
         course = self._needed()
-        name = course.learner(command.name).name
-        course.remove(name)
+        learner = course.learner(command.name)
+        course.remove(learner.name)
         with self.core.lock:
-            self._unstored = [(learner, score) for learner, score in self._unstored if learner != name]
-            chosen = None if self._chosen == name else self._chosen
+            self._unstored = [(key, score) for key, score in self._unstored if key != learner.key]
+            chosen = None if self._chosen == learner.key else self._chosen
         self._change(chosen)
 
     @answers(c.LearnerFiles)
@@ -91,38 +139,58 @@ class CourseHandlers(CommandHandlers):
         """Return the texts of the files of a learner, by file name."""
         return learner_files(self._needed().learner(question.name))
 
-    def record(self, learner: str, score: Score) -> None:
-        """Store a score of a learner, and the scores that could not be stored before; called without the lock."""
+    def record(self, key: str, score: Score) -> None:
+        """Store a score of the learner who flew, and the scores that could not be stored before.
+
+        The caller does not hold the session's lock.
+
+        Parameters
+        ----------
+        key
+            Key of the learner.
+        score
+            The score.
+        """
         course = self._course
         if course is None:
             return
         with self.core.lock:
-            waiting, self._unstored = [*self._unstored, (learner, score)], []
+            waiting, self._unstored = [*self._unstored, (key, score)], []
         failed: list[tuple[str, Score]] = []
-        trouble: CarinaError | None = None
-        for name, one in waiting:
+        troubles: list[tuple[str, CarinaError]] = []
+        for one, its_score in waiting:
             try:
-                course.record(name, one)
-            except UsageError as error:
-                # The learner was deleted during the attempt.
-                trouble = error
+                course.record(one, its_score)
+            except UsageError:
+                # The learner was deleted, or the flight comes from another machine.
+                troubles.append((NO_LEARNER, UsageError(NO_LEARNER, code="training.learner")))
             except CarinaError as error:
-                failed.append((name, one))
-                trouble = error
+                failed.append((one, its_score))
+                later = "Carina tries again after the next attempt, and the flight stays in the case"
+                name = self.name_of(one) or "a learner"
+                troubles.append((f"the score of {name} was not stored: {error}; {later}", error))
+        self.read_files()
         with self.core.lock:
             self._unstored = [*failed, *self._unstored]
             self._info = None
-            if trouble is not None:
-                later = "; it is tried again after the next attempt" if failed else ""
-                self.core.emit(ErrorEvent(trouble.code, f"the score of {learner} was not stored: {trouble}{later}"))
+            for text, trouble in dict(troubles).items():
+                self.core.emit(ErrorEvent(trouble.code, text))
             self.core.changed("training")
+
+    @answers(c.ClassroomOf)
+    def classroom(self, _question: c.ClassroomOf) -> tuple[ClassLearner, ...]:
+        """Return all learners with their latest attempts, for a teacher."""
+        with self.core.lock:
+            return tuple(
+                ClassLearner(self._summary(one), _attempts(one)[-CLASS_ATTEMPTS:], self._flown.get(one.key))
+                for one in self._learners()
+            )
 
     def info(self) -> CourseInfo:
         """Return the learners, and the attempts of the chosen one; the caller holds the session's lock."""
         if self._info is None:
-            course = self._course
-            learners = () if course is None else course.learners()
-            chosen = next((one for one in learners if one.name == self._chosen), None)
+            course, (learners, problems) = self._course, self._known()
+            chosen = next((one for one in learners if one.key == self._chosen), None)
             waiting = len(self._unstored)
             self._info = CourseInfo(
                 stores=course is not None,
@@ -130,7 +198,7 @@ class CourseHandlers(CommandHandlers):
                 chosen=None if chosen is None else chosen.name,
                 attempts=() if chosen is None else _attempts(chosen),
                 problems=(
-                    *(() if course is None else course.problems()),
+                    *problems,
                     *(
                         (f"{waiting} scores are not stored yet, because the disk could not be written",)
                         if waiting
@@ -141,12 +209,13 @@ class CourseHandlers(CommandHandlers):
         return self._info
 
     def _summary(self, learner: Learner) -> LearnerInfo:
-        known = self._summaries.get(learner.name)
+        known = self._summaries.get(learner.key)
         if known is None or known[0] is not learner:
-            known = self._summaries[learner.name] = (learner, _summary(learner))
+            known = self._summaries[learner.key] = (learner, _summary(learner))
         return known[1]
 
     def _change(self, chosen: str | None) -> None:
+        self.read_files()
         with self.core.lock:
             self._chosen, self._info = chosen, None
             self.core.changed("training")

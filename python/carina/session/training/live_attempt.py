@@ -12,9 +12,11 @@ from numpy.typing import NDArray
 from carina.errors import NoResultError
 from carina.scopes import Pose, WallField
 from carina.session.state.training import RunningTask
-from carina.track import Airways
-from carina.training import LANDMARKS, FlightEvent, FlightFrames, FlightScorer, Score, Task
+from carina.track import Airways, AirwayTree
+from carina.training import LANDMARKS, FlightEvent, FlightFrames, FlightScorer, Score, Task, segments_of_case
 from carina.training.flight_frames import FRAME_HZ, FlightOptics
+from carina.training.segments import branches_named
+from carina.training.task import landmarks_of
 
 MESSAGE_S = 3.0
 """Time for which an event of the flight is shown."""
@@ -41,7 +43,7 @@ class LiveAttempt:
     pose
         Pose of the tip at the beginning.
     learner
-        Pseudonym of the learner to whom the score is stored; None stores no score.
+        Key of the learner to whom the score is stored; None stores no score.
     """
 
     def __init__(
@@ -60,6 +62,7 @@ class LiveAttempt:
         self.task, self.airways, self.flight, self.begun_s = task, airways, flight, begun_s
         self._optics = optics
         self._scorer = FlightScorer(airways.tree, wall, task)
+        self._goals = _goal_branches(task, airways.tree) if "arrow" in task.hints else {}
         self._poses: list[NDArray[np.float64]] = [pose.lps_from_camera]
         self._numbers = [0]
         self._latest = pose
@@ -70,6 +73,8 @@ class LiveAttempt:
         self.pause_s = 0.0
         """Smallest time from the newest score to the next one."""
         self._score: Score | None = None
+        self._score_before_s = self._newest_score_s = 0.0
+        """Time of the score before the newest one, and of the newest one, since the beginning of the attempt."""
         self._paused_s: float | None = None
 
     @property
@@ -128,6 +133,7 @@ class LiveAttempt:
     def update_score(self, now_s: float) -> None:
         """Compute the score of the sampled frames."""
         self.scored_s = now_s
+        self._score_before_s, self._newest_score_s = self._newest_score_s, self.elapsed_s(now_s)
         poses, numbers = np.stack(self._poses), np.array(self._numbers)
         frames = FlightFrames(
             poses,
@@ -158,6 +164,7 @@ class LiveAttempt:
             num_steps=score.result.num_steps,
             steps_done=score.result.steps_done,
             next_step=self._next_step(score),
+            arrow_branches=self._goals.get(self._goal_step(score) or "", ()),
             message=None if latest is None else self._event_words(latest),
             is_warning=latest is not None and latest.kind in WARNINGS,
         )
@@ -177,10 +184,18 @@ class LiveAttempt:
             return next((name for name in steps if name not in done), None)
         return None
 
+    def _goal_step(self, score: Score) -> str | None:
+        """Return the step to which the arrow leads: the next step, or the only place of a task without an order."""
+        if score.result.completed:
+            return None
+        if self.task.kind == "stations":
+            return next((name for name in self.task.stations if name not in score.result.steps_done), None)
+        return self._next_step(score) or self.task.structure or ("place" if self.task.kind == "reach" else None)
+
     def _latest_event(self, score: Score, elapsed_s: float) -> FlightEvent | None:
-        recent = [
-            one for one in score.events if one.kind in _EVENT_WORDS and elapsed_s - MESSAGE_S <= one.time_s <= elapsed_s
-        ]
+        # On a slow machine an event is scored late, and is shown until the next score.
+        since_s = min(elapsed_s - MESSAGE_S, self._score_before_s)
+        recent = [one for one in score.events if one.kind in _EVENT_WORDS and since_s <= one.time_s <= elapsed_s]
         # Of simultaneous events a fault is shown.
         return max(recent, key=lambda one: (one.time_s, one.kind in WARNINGS), default=None)
 
@@ -190,6 +205,23 @@ class LiveAttempt:
             return f"{words} at {event.detail}"
         named = self.task.names_shown or event.kind in _STEPS or (event.kind in _VISITS and self.task.kind == "inspect")
         return f"{words}: {event.name}" if named else words
+
+
+def _goal_branches(task: Task, tree: AirwayTree) -> dict[str, tuple[int, ...]]:
+    """Return the branches of each step of a task, to which the arrow leads."""
+    found = {one.name: one.branch_ids for one in segments_of_case(tree)}
+    names = (*task.segments, *task.branches, *(() if task.structure is None else (task.structure,)))
+    found |= {name: tuple(one.id for one in branches_named(tree, name)) for name in names}
+    if task.kind == "inspect":
+        # A landmark is located in front of its openings, to the first of which the arrow leads.
+        found |= {title: tuple(one.id for one in branches_named(tree, names[0])) for title, names in LANDMARKS}
+    if task.kind == "stations":
+        for station, marks in landmarks_of(tree, task).items():
+            points = [np.array(one.point_lps) for one in marks if one.point_lps is not None]
+            found[station] = tuple(tree.nearest_branch(point)[0].id for point in points)
+    if task.kind == "reach" and task.place_lps:
+        found["place"] = (tree.nearest_branch(np.array(task.place_lps))[0].id,)
+    return found
 
 
 _EVENT_WORDS = {

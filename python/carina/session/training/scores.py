@@ -24,6 +24,7 @@ from carina.training import (
     CaseSegment,
     FlightComparison,
     FlightEvent,
+    FolderTasks,
     Score,
     Task,
     find_task,
@@ -52,14 +53,20 @@ _FAULT_WORDS = {
 }
 
 
-def task_infos(document: Document) -> tuple[TaskInfo, ...]:
-    """Return the built-in tasks, the easiest first, each with the reason why a case is unsuitable for it."""
+def task_infos(document: Document, own: FolderTasks) -> tuple[TaskInfo, ...]:
+    """Return the tasks of teachers, then the built-in tasks, the easiest first.
+
+    Each task has the reason why the case is unsuitable for it.
+    """
     tree = None if document.airways is None else document.airways.tree
-    tasks = sorted(map(find_task, task_names()), key=lambda task: (LEVELS.index(task.level), task.name))
-    return tuple(_task_info(planned_task(task, document), tree) for task in tasks)
+    found = []
+    for tasks, is_own in ((own.tasks, True), (tuple(map(find_task, task_names())), False)):
+        for task in sorted(tasks, key=lambda task: (LEVELS.index(task.level), task.name)):
+            found.append(_task_info(planned_task(task, document), tree, is_own=is_own))
+    return tuple(found)
 
 
-def _task_info(task: Task, tree: AirwayTree | None) -> TaskInfo:
+def _task_info(task: Task, tree: AirwayTree | None, *, is_own: bool) -> TaskInfo:
     problem = None if tree is not None else "wait for the airways"
     if tree is not None:
         try:
@@ -77,6 +84,7 @@ def _task_info(task: Task, tree: AirwayTree | None) -> TaskInfo:
         tree_shown="tree" in task.hints,
         ghost_shown="ghost" in task.hints,
         problem=problem,
+        is_own=is_own,
     )
 
 

@@ -19,6 +19,7 @@ import { useApp, useStation } from "../context";
 import { Act } from "../controls";
 import { Icon } from "../icons";
 import { ScopeSelect } from "../ScopeSelect";
+import { VoiceFeedback, VoiceSwitch } from "../VoiceFeedback";
 
 /** Render the panel of the Train step: the tasks and the scores, or the running attempt. */
 export function TrainStep() {
@@ -36,11 +37,13 @@ export function TrainStep() {
       </p>
       <CoursePanel course={training.course} />
       <ScopeSelect />
+      <VoiceSwitch />
       <ul className="key-list" aria-label="Tasks" data-testid="tasks">
         {training.tasks.map((task) => (
           <TaskRow key={task.name} task={task} />
         ))}
       </ul>
+      <OwnTasks folder={training.task_folder} problems={training.task_problems} />
       <Quizzes />
       <Scores scores={training.scores} verdict={training.verdict} />
     </>
@@ -56,6 +59,7 @@ function TaskRow({ task }: { task: TaskInfo }) {
         <span className="flight-words">
           <strong>{task.title}</strong>
           <span className="quiet numbers">
+            {task.is_own ? "own task, " : ""}
             {task.level}, {limit}
             {task.names_shown ? "" : ", names hidden"}
             {task.tree_shown ? ", with the tree" : ""}
@@ -72,6 +76,32 @@ function TaskRow({ task }: { task: TaskInfo }) {
       </div>
       {task.problem === null ? null : <p className="warning-text">{sentence(task.problem)}</p>}
     </li>
+  );
+}
+
+/** Render the folder of the teacher's own tasks, and the files that cannot be used. */
+function OwnTasks({ folder, problems }: { folder: string | null; problems: readonly string[] }) {
+  const station = useStation();
+  if (folder === null) return null;
+  return (
+    <div className="own-tasks" data-testid="own-tasks">
+      <div className="row">
+        <Act
+          label="Read own tasks again"
+          words={`List the task files in ${folder}`}
+          testId="read-tasks"
+          onPress={() => station.send({ type: "read_training_files" })}
+        />
+      </div>
+      <p className="quiet">
+        Your own tasks are files in <span className="path">{folder}</span>
+      </p>
+      {problems.map((words) => (
+        <p key={words} className="warning-text" data-testid="task-problem">
+          <Icon name="warning" /> {words}
+        </p>
+      ))}
+    </div>
   );
 }
 
@@ -180,6 +210,9 @@ function RunningAttempt({ attempt }: { attempt: Attempt }) {
       </p>
       <AttemptClock attempt={attempt} />
       <p data-testid="attempt-progress">{progressText(attempt)}</p>
+      <LearnerOf learner={attempt.running.learner} />
+      <VoiceSwitch />
+      <VoiceFeedback running={attempt.running} />
       {attempt.running.steps_done.length === 0 ? null : (
         <p className="quiet">Done: {attempt.running.steps_done.join(", ")}</p>
       )}
@@ -205,9 +238,21 @@ function RunningAttempt({ attempt }: { attempt: Attempt }) {
       />
       <p className="quiet">
         <kbd>W</kbd> <kbd>S</kbd> advance and withdraw, <kbd>{"\u2191"}</kbd> <kbd>{"\u2193"}</kbd> bend the tip,{" "}
-        <kbd>A</kbd> <kbd>D</kbd> rotate. The attempt does not count if the scope is removed or the airways are edited.
+        <kbd>A</kbd> <kbd>D</kbd> rotate; on a touch screen, use the sticks. Other modes, instruments and steps are
+        disabled until you end the task.
       </p>
     </>
+  );
+}
+
+/** Render the learner to whom the score of the running attempt is stored. */
+function LearnerOf({ learner }: { learner: string | null }) {
+  const stores = useApp((state) => state.training?.course.stores ?? false);
+  if (!stores) return null;
+  return (
+    <p className="quiet" data-testid="attempt-learner">
+      {learner === null ? "No learner: the score is not stored" : `Score stored for ${learner}`}
+    </p>
   );
 }
 
@@ -236,7 +281,6 @@ export function AttemptClock({ attempt }: { attempt: Attempt }) {
 function Scores({ scores, verdict }: { scores: readonly FlightScore[]; verdict: string | null }) {
   const station = useStation();
   const flights = useApp((state) => state.flights);
-  const learner = useApp((state) => state.training?.course.chosen ?? null);
   const unscored = flights.filter(
     ({ number, state }) => state !== "recording" && !scores.some(({ flight }) => flight === number),
   );
@@ -278,9 +322,7 @@ function Scores({ scores, verdict }: { scores: readonly FlightScore[]; verdict: 
               </span>
               <Act
                 label="Score it"
-                words={`Score ${name(number)} by its task, or as an inspection of all segments.${
-                  learner === null ? "" : ` The score of a task is stored for ${learner}.`
-                }`}
+                words={`Score ${name(number)} by its task, or as an inspection of all segments. The score of a task is stored for the learner who flew.`}
                 testId={`score-flight-${number}`}
                 onPress={() => station.send({ type: "score_flight", number })}
               />
