@@ -326,8 +326,8 @@ def test_each_limit_of_a_grid_header_separates_accepted_from_refused_values(give
 
 @pytest.mark.parametrize(
     ("widest_mm", "generation"),
-    # Limits are the airway diameters of Weibel; 1.54 mm (generation 9) is the last one above the visible 1.5 mm.
-    [(0.5, 9), (1.54, 9), (1.541, 8), (1.86, 8), (1.861, 7), (2.3, 7), (2.301, 6), (18.0, 0), (30.0, 0)],
+    # At each limit, the airway diameter of Weibel is the root of the squares of 1.5 mm and 0.95 times the spacing.
+    [(0.5, 8), (1.157, 8), (1.158, 7), (1.835, 7), (1.836, 6), (18.88, 0), (30.0, 0)],
 )
 def test_trusted_airway_generation_changes_at_each_voxel_size_limit(widest_mm, generation):
     assert trusted_generation((0.5, 0.5, widest_mm)) == generation
