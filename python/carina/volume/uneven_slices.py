@@ -1,8 +1,9 @@
 """Stacks with uneven slice distances: the even grid, and its slices interpolated between the measured ones.
 
 The even slices begin at the first and end at the last measured slice. Each is interpolated from the two measured slices
-on each side (backward mapping, cubic with the slopes of parabolas, limited to the range of the four values). Slices that are far from every measured one are listed as interpolated,
-so that the views mark them and no airway rests on them alone.
+on each side (backward mapping, cubic with the slopes of parabolas, limited to the range of the four values).
+Slices that are far from every measured one are listed as interpolated, so that the views mark them and no airway rests
+on them alone.
 """
 
 from __future__ import annotations
