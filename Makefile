@@ -23,7 +23,7 @@ export MATURIN_NO_INSTALL_RUST := 1
 export UV_PYTHON_DOWNLOADS := never
 export PATH := $(PATH):$(CURDIR)/.rust/bin
 
-.PHONY: help run build setup setup-tests test test-rust test-web test-python test-gpu soak check check-rust check-python check-web fmt docs bench bench-setup golden lock wheel wheels bundle test-wheels clean
+.PHONY: help run build setup setup-tests test test-rust test-web test-python test-gpu soak fuzz check check-rust check-python check-web fmt docs bench bench-setup golden lock wheel wheels bundle test-wheels clean
 
 help: ## print this list
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sort | awk -F ':.*## ' '{printf "  make %-12s %s\n", $$1, $$2}'
@@ -137,6 +137,17 @@ soak: $(STAMP) $(CLUSTER_STAMP) $(HAPTICS_STAMP) $(NOTEBOOK_STAMP) ## what runs 
 	cargo test $(ALL_CRATES) -- --include-ignored
 	cargo clippy --profile checked -p carina-bindings -p carina-gpu --features carina-bindings/gpu,carina-gpu/wgpu -- -D warnings
 	CARINA_JUPYTER=.venv-notebook/bin/jupyter $(PY) -m pytest -m soak -ra -o faulthandler_timeout=0
+
+# atheris has a separate environment, because only the fuzzer needs it. The generated inputs need the packages of the tests.
+FUZZ_STAMP := .venv-fuzz/.carina-fuzz
+FUZZ_SECONDS ?= 60
+$(FUZZ_STAMP): $(STAMP)
+	test -x .venv-fuzz/bin/python || $(UV) venv -q --python $(PY) .venv-fuzz
+	$(UV) pip install -q --python .venv-fuzz/bin/python "atheris>=3.0"
+	@touch $@
+
+fuzz: $(FUZZ_STAMP) ## coverage-guided fuzzing of headers and archives, FUZZ_SECONDS (60) for each of three targets
+	PYTHONPATH=python:$(wildcard .venv/lib/python*/site-packages) .venv-fuzz/bin/python tools/fuzz_import.py --seconds $(FUZZ_SECONDS)
 
 check: check-rust check-python check-web docs ## formatting, lints, types, layers, kernels, lock file, spelling, licences, advisories, documentation
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import resource
 import statistics
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -17,7 +18,7 @@ class Times:
     """CPU and wall times of one function, one for each round of a measurement, ms."""
 
     cpu_ms: tuple[float, ...]
-    """CPU time of the whole process with all its threads in each round, ms."""
+    """CPU time of the whole process with all its threads, and of ended child processes, in each round, ms."""
     wall_ms: tuple[float, ...]
 
     @property
@@ -60,15 +61,21 @@ def take_turns(
     try:
         for turn in range(repeats):
             for name in order_of_round(names, turn):
-                started_wall, started = time.perf_counter_ns(), time.process_time_ns()
+                started_wall, started_ms = time.perf_counter_ns(), _cpu_ms()
                 functions[name]()
-                cpu[name].append((time.process_time_ns() - started) / 1e6)
+                cpu[name].append(_cpu_ms() - started_ms)
                 wall[name].append((time.perf_counter_ns() - started_wall) / 1e6)
             gc.collect()
     finally:
         if collecting:
             gc.enable()
     return {name: Times(tuple(cpu[name]), tuple(wall[name])) for name in names}
+
+
+def _cpu_ms() -> float:
+    """Return the CPU time of this process and of the processes that it has started and that have ended, ms."""
+    ended = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return time.process_time_ns() / 1e6 + 1000.0 * (ended.ru_utime + ended.ru_stime)
 
 
 def order_of_round(names: Sequence[str], turn: int) -> list[str]:

@@ -12,29 +12,30 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pydicom.dataset import Dataset, FileMetaDataset
-from pydicom.uid import CTImageStorage, ExplicitVRLittleEndian, generate_uid
 
 from carina.cli.console import print_json, print_note, progress_printer
 from carina.disk import make_folder, write_whole
 from carina.errors import CarinaError
 from carina.phantom import generate_phantom
 from carina.volume import CtSource, Volume, VolumeCache, ct_digest, open_volume, quality_gate, write_grid
+from carina_bench import opening_limits
 from carina_bench.alternating_timer import median_ratio, take_turns
 from carina_bench.gates import Gate
 from carina_bench.machine import load_average, machine_facts
+from carina_bench.opening_peers import SLICE_MM, SYNTAXES, words
 from carina_bench.worker import run_section
+from carina_bench.written_series import BOX_LPS, write_slices
 
 __all__ = ["measure", "report"]
 
-BOX_LPS = ((-179.2, -181.2, -189.5), (178.6, 176.6, 110.0))
-"""Box of the generated chest: lowest and highest corner, LPS mm."""
 WHOLE_MM, QUICK_MM = (0.7, 0.7, 0.5), (1.4, 1.4, 1.0)
 """Spacings in mm (x, y, z): 512 x 512 x 600 voxels in the box, and half as many along each axis."""
 CACHED, MAPPED, PLAIN = "from the cache", "mapped and touched", "read without a check"
 """Names of three measured functions in the report."""
 FIRST_LOOK = "digest, range and quality"
 """Name of the measurement that computes digest, value range and quality."""
+NUM_FILES = 100_000
+"""Number of files without images in the folder that is listed."""
 WARM_MS = 350.0
 """Limit of the CPU time to open a CT from the cache in memory, ms."""
 
@@ -45,13 +46,24 @@ def report(*, folder: Path, quick: bool, as_json: bool) -> int:
     facts = machine_facts()
     print_note(f"{facts['cpu']}, {facts['cores']} cores, load {facts['load_average']}")
     row = run_section("opening:measure", {"spacing_mm": QUICK_MM if quick else WHOLE_MM, "repeats": 3 if quick else 5})
-    gates = _gates(row)
+    beside = {
+        "slices": 24 if quick else 100,
+        "pixel_mm": WHOLE_MM[0],
+        "repeats": 3 if quick else 5,
+        "syntaxes": SYNTAXES,
+    }
+    peers = run_section("opening_peers:measure", beside)
+    wanted = {"slices": 60 if quick else 200, "pixel_mm": WHOLE_MM[0], "slice_mm": SLICE_MM, "files": NUM_FILES}
+    limits = run_section("opening_limits:measure", wanted)
+    gates = [*_gates(row), *_peer_gates(peers), *opening_limits.gates(limits)]
     document = {
         "benchmark": "open",
         "version": 1,
         "quick": quick,
         "machine": {**facts, "load_average_after": load_average()},
         "row": row,
+        "peers": peers,
+        "limits": limits,
         "gates": [gate.to_json() for gate in gates],
     }
     text = json.dumps(document, allow_nan=False, ensure_ascii=False, indent=1) + "\n"
@@ -60,7 +72,7 @@ def report(*, folder: Path, quick: bool, as_json: bool) -> int:
         print_json(document)
         return 0
     print(f"{facts['cpu']}, {facts['cores']} cores, load {facts['load_average']} to {load_average()}")
-    print("\n".join([*_words(row), *(gate.line() for gate in gates)]))
+    print("\n".join([*_words(row), *words(peers), *(gate.line() for gate in gates)]))
     return 0
 
 
@@ -76,7 +88,7 @@ def measure(request: dict[str, Any]) -> dict[str, Any]:
     with tempfile.TemporaryDirectory(prefix="carina-bench-") as scratch:
         place = Path(scratch)
         print_note("writing it as DICOM, NIfTI and into the cache")
-        slices = _write_slices(volume, place / "slices")
+        slices = write_slices(volume, place / "slices")
         packed = write_grid(place / "ct.nii.gz", volume.hu_zyx, volume.lps_from_ijk, what="the CT", level=1)
         plain = write_grid(place / "ct.nii", volume.hu_zyx, volume.lps_from_ijk, what="the CT")
         # The cache ignores files that were modified a moment ago, so its clock is set one minute ahead.
@@ -152,34 +164,6 @@ def _cold_ms(voxels: Path, from_cache: Callable[[], Volume]) -> float | None:
     return 1000 * (time.perf_counter() - began_s)
 
 
-def _write_slices(volume: Volume, folder: Path) -> Path:
-    """Write a DICOM series with one uncompressed file per slice, as a scanner does; return its folder."""
-    folder.mkdir()
-    series_uid, study_uid, frame_uid = generate_uid(), generate_uid(), generate_uid()
-    step, spacing = volume.lps_from_ijk, volume.spacing_mm
-    for index, values in enumerate(volume.hu_zyx):
-        dataset = Dataset()
-        dataset.file_meta = FileMetaDataset()
-        dataset.file_meta.TransferSyntaxUID = ExplicitVRLittleEndian
-        dataset.file_meta.MediaStorageSOPClassUID = dataset.SOPClassUID = CTImageStorage
-        dataset.SOPInstanceUID = dataset.file_meta.MediaStorageSOPInstanceUID = generate_uid()
-        dataset.ImageType = ["ORIGINAL", "PRIMARY", "AXIAL"]
-        dataset.Modality, dataset.SeriesDescription, dataset.SeriesNumber = "CT", "Synthetic chest", 1
-        dataset.StudyInstanceUID, dataset.SeriesInstanceUID = study_uid, series_uid
-        dataset.FrameOfReferenceUID = frame_uid
-        dataset.Rows, dataset.Columns = values.shape
-        dataset.PixelSpacing = [round(spacing[1], 6), round(spacing[0], 6)]
-        dataset.ImageOrientationPatient = [1, 0, 0, 0, 1, 0]
-        dataset.ImagePositionPatient = [round(float(v), 6) for v in step[:3, 3] + index * step[:3, 2]]
-        dataset.SamplesPerPixel, dataset.PhotometricInterpretation = 1, "MONOCHROME2"
-        dataset.BitsAllocated, dataset.BitsStored, dataset.HighBit, dataset.PixelRepresentation = 16, 16, 15, 1
-        dataset.RescaleSlope, dataset.RescaleIntercept = 1, 0
-        dataset.PixelData = values.astype("<i2").tobytes()
-        dataset["PixelData"].VR = "OW"
-        dataset.save_as(folder / f"IM{index:04d}", enforce_file_format=True)
-    return folder
-
-
 def _gates(row: dict[str, Any]) -> list[Gate]:
     taken = row["cpu_and_wall_ms"][CACHED]
     note = f"by the clock {taken['wall_median']:.0f}, least {taken['wall_min']:.0f}, at load {row['load_average']}"
@@ -188,6 +172,15 @@ def _gates(row: dict[str, Any]) -> list[Gate]:
         # The limit applies to the CPU time of one core; on a busy machine wall time is several times as long.
         Gate("a CT from the cache, in memory (CPU time, ms)", taken["median"], WARM_MS, "lower", note=note),
         Gate("the cache over DICOM slices, CPU time", row["ratio"]["DICOM slices"], 5.0, aim=True),
+    ]
+
+
+def _peer_gates(peers: dict[str, Any]) -> list[Gate]:
+    """Return the ratio of SimpleITK's wall time to Carina's for each transfer syntax."""
+    return [
+        Gate(f"SimpleITK over Carina, {syntax}, wall time", one["wall_over_carina"]["SimpleITK"], 2.0, aim=True)
+        for syntax, one in peers["rows"].items()
+        if "SimpleITK" in one["wall_over_carina"]
     ]
 
 

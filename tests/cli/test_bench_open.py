@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 
-from carina_bench import opening
+from carina_bench import opening, opening_limits, opening_peers
 
 
 def test_opening_benchmark_opens_a_small_chest_from_slices_and_from_the_cache_with_equal_results(
@@ -12,7 +12,19 @@ def test_opening_benchmark_opens_a_small_chest_from_slices_and_from_the_cache_wi
 ):
     small = {"spacing_mm": [6.0, 7.0, 5.0], "repeats": 1}
     # The measurement runs in this process on a small chest; the times are not checked.
-    monkeypatch.setattr(opening, "run_section", lambda _name, _request: opening.measure(small))
+    beside = {"slices": 4, "repeats": 1, "syntaxes": opening_peers.SYNTAXES, "pixel_mm": 6.0}
+
+    limits = {"slices": 20, "pixel_mm": 6.0, "slice_mm": 5.0, "files": 30}
+
+    def run(name: str, _request: object) -> object:
+        match name:
+            case "opening:measure":
+                return opening.measure(small)
+            case "opening_peers:measure":
+                return opening_peers.measure(beside)
+        return opening_limits.measure(limits)
+
+    monkeypatch.setattr(opening, "run_section", run)
     assert opening.report(folder=tmp_path, quick=True, as_json=False) == 0
     document = json.loads((tmp_path / "open.json").read_text())
     row = document["row"]
@@ -22,3 +34,9 @@ def test_opening_benchmark_opens_a_small_chest_from_slices_and_from_the_cache_wi
     same, *_ = document["gates"]
     assert same["passed"]
     assert "from the cache" in capsys.readouterr().out
+    peers = document["peers"]["rows"]
+    assert set(peers) == set(opening_peers.SYNTAXES)
+    for syntax, one in peers.items():
+        assert {"Carina", "SimpleITK", "pydicom"} <= set(one["cpu_over_carina"]), (syntax, one["left_out"])
+    assert document["limits"]["listed_code"] == "import.no-images"
+    assert document["limits"]["cancel_ms"] > 0

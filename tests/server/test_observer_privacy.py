@@ -178,7 +178,7 @@ def test_notes_for_observers_are_replaced_unless_their_code_guarantees_text_with
     assert observer_notes([CaseNote("import.copies", "a passing note", False)]) == ()
     allowed = [CaseNote(code, "fixed words", True) for code in (*sorted(WITHOUT_NAMES), "airways.doubted")]
     assert list(observer_notes(allowed)) == allowed
-    assert {"import.tilt-corrected", "import.slices-interpolated"} <= WITHOUT_NAMES
+    assert {"import.tilt-corrected", "import.slices-interpolated", "import.slices-resampled"} <= WITHOUT_NAMES
 
 
 def test_errors_for_observers_contain_their_code_without_their_text():

@@ -144,6 +144,16 @@ def _tilted(folder: Path) -> Path:
     )
 
 
+def _two_distances(folder: Path) -> Path:
+    return series(
+        folder, lambda d, k: setattr(d, "ImagePositionPatient", [-11.25, -14.5, k * GAP_MM - 1.0 * max(k - 12, 0)])
+    )
+
+
+def _two_mixed_scans(folder: Path) -> Path:
+    return series(folder, lambda d, k: setattr(d, "ImagePositionPatient", [-11.25, -14.5, k // 2 * GAP_MM + k % 2]))
+
+
 def _frame_per_slice_with_a_gap(folder: Path) -> Path:
     _tags(lambda i: {"FrameOfReferenceUID": f"1.2.3.4.6.{i}"})(folder)
     (folder / "IM008").unlink()
@@ -318,6 +328,8 @@ SEVERAL = [
     Input("one missing slice", ONE, _without(8), "opens", ("import.slices-interpolated",), names=("slice 9",), do=MISSING_SLICES),
     Input("two gaps of one slice", ONE, _without(4, 15), "opens", ("import.slices-interpolated",), names=("slices 5, 16",), do=MISSING_SLICES),
     Input("three of twenty slices missing", ONE, _without(4, 8, 15), "import.geometry.irregular", names=("10 %",), do=MISSING_SLICES),
+    Input("slice distances of 2.5 and 1.5 mm", ONE, _two_distances, "opens", ("import.slices-resampled",), names=("1.50 to 2.50 mm apart",)),
+    Input("two distances that alternate, as in two mixed scans", ONE, _two_mixed_scans, "import.geometry.irregular", names=("may be mixed",), do=CHOOSE),
     Input("a gantry tilt of 20 degrees", ONE, _tilted, "opens", ("import.tilt-corrected",), names=("20.0 degrees",)),
     Input("two scans at the same positions that do not differ in any tag", TWO, _two({}, shift_mm=0), "import.geometry.duplicate", do="Keep one slice for each position."),
 ]  # fmt: skip

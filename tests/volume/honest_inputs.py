@@ -157,3 +157,70 @@ def _kinds() -> tuple[Input, ...]:
 
 KINDS = _kinds()
 """Every odd but honest kind of input, with the exact voxels."""
+
+PARTED = "merges or omits slices of two stacks in one folder"
+MERGED = "joins slices whose settings differ, or leaves some out"
+ENHANCED = "ignores the positions or rescales of single frames"
+NOT_RIGHT = "refuses axes that are not at right angles"
+COMPRESSED = "needs CompressedDataSize, which other programs leave out"
+OTHERWISE_READ: dict[str, dict[str, tuple[str, str]]] = {
+    "dcm2niix": {
+        "another image type in the first and the last slice": ("reads other positions", MERGED),
+        "some slices without series number and kernel": ("reads other positions", MERGED),
+        "three slices without SeriesInstanceUID": ("reads other positions", MERGED),
+        "a different frame of reference in every slice, and two kernels in alternating slices": (
+            "reads other positions", PARTED,
+        ),
+        **dict.fromkeys(
+            (
+                "two studies in alternating slices",
+                "two frames of reference in alternating slices",
+                "two pixel spacings under one series UID",
+                "two kernels at the same positions",
+                "two kernels in alternating slices",
+                "two kernels in alternating slices, with equal numbers of slices",
+                "two acquisitions in alternating slices",
+                "two acquisitions in alternating slices that differ only in their time",
+                "two phases at the same positions",
+                "with and without contrast agent at the same positions",
+                "no series UID, two kernels in alternating slices",
+            ),
+            ("reads other positions", PARTED),
+        ),
+        "two breath-holds that overlap by four slices": ("reads other values", PARTED),
+        "a second kernel at some of the positions": ("reads other values", PARTED),
+        "one file, frames in any order": ("reads other positions", ENHANCED),
+        "a different slope and intercept in every frame": ("reads other positions", ENHANCED),
+        "a series of four files with five frames each": ("reads other positions", ENHANCED),
+        "two phases in one file": ("reads other positions", ENHANCED),
+        "two files at the same positions": ("reads other positions", ENHANCED),
+        "deflated": ("reads nothing", "does not inflate"),
+        "signed pixels in 12 of 16 bits": ("reads other values", "takes the sign from the 16th bit"),
+    },
+    "SimpleITK": {
+        "one file, frames in any order": ("reads other positions", ENHANCED),
+        "a series of four files with five frames each": ("reads other positions", ENHANCED),
+        "a different slope and intercept in every frame": ("reads other values", ENHANCED),
+        "slope 0: neither slope nor intercept (-1024) is applied": (
+            "reads other values", "adds the intercept, which nifti1.h forbids",
+        ),
+        "one file, compressed": ("reads other values", COMPRESSED),
+        "64-bit floats, compressed": ("reads other values", COMPRESSED),
+        "a compressed MetaImage file, compressed with gzip as a whole": ("reads other values", COMPRESSED),
+        "NIfTI, axes 0.02 degrees off": ("reads nothing", NOT_RIGHT),
+        "NIfTI, axes 0.17 degrees off": ("reads nothing", NOT_RIGHT),
+        "NIfTI, axes 0.17 degrees off, the nearest rotation as qform": (
+            "reads other positions", "uses the nearest rotation, 0.03 mm away",
+        ),
+        "a comment of 10 kB": ("reads nothing", "limits the length of a line"),
+    },
+    "nibabel": {
+        "in metres, declared as metres": ("reads other positions", "does not convert units to mm"),
+        "in micrometres, declared as micrometres": ("reads other positions", "does not convert units to mm"),
+    },
+    "pynrrd": {
+        "compressed with bgzip, in many members": ("fails: NRRDError", "reads only the first gzip member"),
+        "compressed, after bytes that readers skip": ("fails: error", "ignores `byte skip` of compressed values"),
+    },
+}  # fmt: skip
+"""Answer of each reader that does not read an input in the same way, with the reason, by the name of the input."""

@@ -445,3 +445,18 @@ def test_zip_of_a_newer_version_of_the_format_is_refused(tmp_path, scan):
     content[content.find(b"PK\x01\x02") + 6] = 99
     path.write_bytes(content)
     assert refusal(path).code == "import.archive.not-supported"
+
+
+def test_zip_archive_whose_directory_states_a_position_before_its_begin_is_damaged(tmp_path, scan):
+    path = tmp_path / "scan.zip"
+    with zipfile.ZipFile(path, "w") as archive:
+        for name, content in scan.items():
+            archive.writestr(name, content)
+    data = bytearray(path.read_bytes())
+    at = data.rindex(b"PK\x05\x06")
+    # The directory is stated to begin after its true position, so that all positions are moved before the file.
+    data[at + 16 : at + 20] = (int.from_bytes(data[at + 16 : at + 20], "little") + 100_000).to_bytes(4, "little")
+    path.write_bytes(data)
+    with pytest.raises(VolumeImportError) as caught:
+        open_volume(path)
+    assert caught.value.code == "import.archive.damaged"

@@ -205,3 +205,124 @@ def test_missing_frame_of_an_enhanced_file_is_interpolated(tmp_path):
     del frames[7]
     volume = open_volume(enhanced(tmp_path / "scan" / "IM1", frames))
     assert volume.source.interpolated_slices == (7,)
+
+
+UNEVEN = {
+    "two distances": [2.5] * 10 + [1.5] * 12,
+    "three distances and a wide one": [1.5] * 8 + [2.0] * 4 + [2.5] * 4 + [3.5] + [1.5] * 8,
+    "growing": [1.2 + 0.06 * n for n in range(24)],
+    "random": np.random.default_rng(4).uniform(1.2, 2.4, 24).tolist(),
+}
+
+
+def uneven_series(folder: Path, gaps_mm: list[float], along: tuple[float, float] = (0.0, 0.0)) -> Path:
+    """Write exact samples of ``tubes`` in slices with these distances, which may lean along rows and columns."""
+    heights_mm = np.round(np.concatenate([[0.0], np.cumsum(gaps_mm)]), 6)
+    j, i = np.mgrid[:64, :64].astype(np.float64)
+    hu = np.empty((len(heights_mm), 64, 64), dtype=np.int16)
+    for k, z in enumerate(heights_mm):
+        x, y = -22.0 + i * SPACING_MM[0] + along[0] * z, -28.0 + j * SPACING_MM[1] + along[1] * z
+        hu[k] = np.rint(tubes(x, y, np.full_like(x, z)))
+
+    def place(dataset: Dataset, index: int) -> None:
+        z = float(heights_mm[index])
+        dataset.ImagePositionPatient = [round(-22.0 + along[0] * z, 6), round(-28.0 + along[1] * z, 6), z]
+
+    return series(folder, place, hu=hu)
+
+
+@pytest.mark.parametrize("along", [(0.0, 0.0), (0.0, 0.2)], ids=["straight", "tilted"])
+@pytest.mark.parametrize("name", UNEVEN)
+def test_uneven_slices_have_the_values_of_the_scanned_object_on_an_even_grid(tmp_path, name, along):
+    gaps_mm = UNEVEN[name]
+    volume = open_volume(uneven_series(tmp_path / "scan", gaps_mm, along))
+    assert volume.is_hu
+    columns = volume.lps_from_ijk[:3, :3]
+    sx, sy, sz = volume.spacing_mm
+    np.testing.assert_allclose(columns.T @ columns, np.diag(np.square((*SPACING_MM, sz))), atol=1e-9)
+    assert (sx, sy) == pytest.approx(SPACING_MM)
+    assert volume.shape_zyx[0] * sz == pytest.approx(sum(gaps_mm) + sz)
+    kk, jj, ii = np.indices(volume.shape_zyx)
+    x, y, z = np.moveaxis(volume.to_lps(np.stack([ii, jj, kk], axis=-1)), -1, 0)
+    expected = tubes(x, y, z)
+    inside = (y - along[1] * z > -27.0) & (y - along[1] * z < -28.0 + 62 * SPACING_MM[1])
+    error = np.abs(volume.hu_zyx - expected)[inside]
+    gradient = np.hypot(*(np.gradient(expected, axis=a) for a in (1, 2)))[inside]
+    steep = gradient > 100.0
+    assert steep.sum() > 1000
+    # An error of position in voxels is the error of the value divided by its change from voxel to voxel.
+    assert float((error[steep] / gradient[steep]).max()) < 0.1
+
+
+def test_even_slices_follow_a_cubic_course_and_equal_measured_slices_at_their_positions(tmp_path):
+    """A parabola along the stack is reproduced by parabolic slopes; at the ends the slopes are those of lines."""
+    heights_mm = np.concatenate([1.3 * np.arange(11), 13.0 + 2.6 * np.arange(1, 7), 29.0 + np.arange(6)])
+    curve = 2.0 * (heights_mm - 12.0) ** 2 - 500.0
+    texture = np.random.default_rng(2).integers(-300, 300, (32, 32))
+    hu = np.rint(curve[:, None, None] + texture).astype(np.int16)
+    folder = series(
+        tmp_path / "scan",
+        lambda d, k: setattr(d, "ImagePositionPatient", [-11.25, -14.5, round(float(heights_mm[k]), 6)]),
+        hu=hu,
+    )
+    volume = open_volume(folder)
+    at_mm = volume.to_lps(np.array([[0, 0, k] for k in range(volume.shape_zyx[0])]))[:, 2]
+    assert at_mm[0] == pytest.approx(heights_mm[0])
+    assert at_mm[-1] == pytest.approx(heights_mm[-1])
+    inside = (at_mm > heights_mm[1]) & (at_mm < heights_mm[-2])
+    expected = 2.0 * (at_mm - 12.0) ** 2 - 500.0
+    # Rounding of the stored values to whole numbers, and the limit to the range of the neighbours at the turning point.
+    np.testing.assert_allclose((volume.hu_zyx - texture)[inside], np.broadcast_to(
+        expected[inside][:, None, None], (inside.sum(), 32, 32)), atol=3.6)  # fmt: skip
+    np.testing.assert_array_equal(volume.hu_zyx[[0, -1]], hu[[0, -1]])
+    away_mm = np.abs(at_mm[:, None] - heights_mm).min(axis=1)
+    interpolated = np.isin(np.arange(len(at_mm)), volume.source.interpolated_slices)
+    assert interpolated.sum() >= 3
+    assert away_mm[interpolated].min() > 0.49 * volume.spacing_mm[2]
+    assert away_mm[~interpolated].max() < 0.51 * volume.spacing_mm[2]
+
+
+def test_resampling_is_named_by_a_badge_with_numbers_and_in_the_inspection(tmp_path):
+    folder = uneven_series(tmp_path / "scan", [2.5] * 6 + [1.0] * 14)
+    (badge,) = badges_of(open_volume(folder))
+    assert badge.code == "import.slices-resampled"
+    for text in ("1.00 to 2.50 mm apart", "the 21 slices", "after slice 1 to 6", "near slices 2, 4 to 5, 7"):
+        assert text in badge.words
+    found = inspect_path(folder)
+    assert [note.code for note in found.notes] == ["import.slices-resampled"]
+    assert found.shape_zyx == open_volume(folder).shape_zyx
+
+
+@pytest.mark.parametrize(
+    ("gaps_mm", "text"),
+    [
+        ([1.0] * 12 + [1.3] * 3 + [4.5] * 3, "at most 4 times the usual distance of 1.00 mm and 10 mm"),
+        ([4.0] * 12 + [5.5] * 3 + [10.5] * 3, "at most 4 times the usual distance of 4.00 mm and 10 mm"),
+        ([1.0] * 12 + [1.4, 0.15, 1.0, 1.0], "only 0.15 mm apart"),
+        ([1.7, 0.8] * 10, "two distances alternate"),
+        ([1.0, 1.0, 1.6], "at least 5 slices"),
+    ],
+)
+def test_uneven_slices_that_are_not_resampled_are_refused_with_the_limit(tmp_path, gaps_mm, text):
+    error = refusal(uneven_series(tmp_path / "scan", gaps_mm))
+    assert error.code == "import.geometry.irregular"
+    assert text in str(error)
+
+
+def test_uneven_distance_between_two_reconstructions_is_refused(tmp_path):
+    def change(dataset: Dataset, index: int) -> None:
+        dataset.ConvolutionKernel = ("B31f", "B70f")[index >= 8]
+        dataset.ImagePositionPatient = [-11.25, -14.5, 2.5 * index + (1.2 if index >= 8 else 0.0)]
+
+    error = refusal(series(tmp_path / "scan", change))
+    assert error.code == "import.geometry.irregular"
+    assert "differ in reconstruction kernel" in str(error)
+
+
+def test_uneven_frames_of_an_enhanced_file_are_resampled(tmp_path):
+    frames = chest_frames()
+    for frame in frames[12:]:
+        frame.z_mm += 1.1
+    assert [n.code for n in open_volume(enhanced(tmp_path / "scan" / "IM1", frames)).source.notes] == [
+        "import.slices-resampled"
+    ]

@@ -129,25 +129,18 @@ def test_missing_slice_is_reported_with_its_gap(write_series):
         assert text in str(error)
 
 
-def test_series_with_uneven_gaps_between_slices_is_refused(write_series):
-    error = refusal(write_series(edit=lambda d, i: move(d, frame(d)[2] * (0.5 if i >= 6 else 0.0))))
-    assert error.code == "import.geometry.irregular"
-    assert "found 1.75 mm after slice 6 of 9" in str(error)
-
-
-def test_series_with_slowly_increasing_gaps_is_refused(write_series):
-    error = refusal(write_series(edit=lambda d, i: move(d, frame(d)[2] * 0.02 * i * i)))
-    assert error.code == "import.geometry.irregular"
+@pytest.mark.parametrize("moved", [lambda i: 0.5 if i >= 6 else 0.0, lambda i: 0.02 * i * i], ids=["step", "growing"])
+def test_series_with_uneven_gaps_is_resampled_with_a_badge(write_series, moved):
+    volume = open_volume(write_series(edit=lambda d, i: move(d, frame(d)[2] * moved(i))))
+    assert [note.code for note in volume.source.notes if note.badge] == ["import.slices-resampled"]
 
 
 @pytest.mark.parametrize(("off_mm", "good"), [(0.11, True), (0.14, False)])
-def test_slice_up_to_a_tenth_of_the_gap_from_its_regular_position_is_accepted(write_series, off_mm, good):
+def test_slice_up_to_a_tenth_of_the_gap_from_its_regular_position_is_not_moved(write_series, off_mm, good):
     # The tolerance is a tenth of the gap: 0.125 mm.
-    folder = write_series(edit=lambda d, i: move(d, frame(d)[2] * (off_mm if i == 4 else 0.0)))
-    if good:
-        assert open_volume(folder).spacing_mm[2] == pytest.approx(GAP_MM)
-    else:
-        assert refusal(folder).code == "import.geometry.irregular"
+    volume = open_volume(write_series(edit=lambda d, i: move(d, frame(d)[2] * (off_mm if i == 4 else 0.0))))
+    assert volume.spacing_mm[2] == pytest.approx(GAP_MM)
+    assert ("import.slices-resampled" in [note.code for note in volume.source.notes]) is not good
 
 
 def test_slice_positions_rounded_to_a_tenth_of_a_millimetre_are_accepted(write_series):

@@ -96,6 +96,16 @@ def wide_gap(gap_mm: float, expected: float) -> list[SimpleNamespace]:
     return stack(heights(*gaps))
 
 
+def two_distances(usual: float, other: float) -> list[SimpleNamespace]:
+    """Return a stack whose last ten distances differ from the first twenty."""
+    return stack(heights(*[usual] * 20, *[usual * 1.3] * 3, *[other] * 10))
+
+
+def short_distance(gap_mm: float) -> list[SimpleNamespace]:
+    """Return a stack with a usual distance of 1 mm, some of 1.3 mm and one short one."""
+    return stack(heights(*[1.0] * 20, *[1.3] * 3, gap_mm, *[1.0] * 5))
+
+
 def sideways(shift_mm: float, spacing: tuple[float, float], axis: int = 0) -> list[SimpleNamespace]:
     """Return a stack with one slice shifted by ``shift_mm`` perpendicular to the normal."""
     positions = heights(*[1.0] * 20)
@@ -151,14 +161,14 @@ BOUNDS = {
     "doubled, 2 % of 1.25 mm": (lambda share: one_gap(1.25, share), "duplicate", "irregular"),
     "doubled, 0.01 mm at 0.4 mm": (lambda share: one_gap(0.4, share), "duplicate", "irregular"),
     # A slice off the grid: limit of a tenth of the gap, at least 0.06 and at most 0.3 mm.
-    "off by a tenth of 1 mm": (lambda share: one_off(1.0, 0.1 * share), "opens", "irregular"),
-    "off by 0.06 mm at 0.5 mm": (lambda share: one_off(0.5, 0.06 * share), "opens", "irregular"),
-    "off by 0.3 mm at 5 mm": (lambda share: one_off(5.0, 0.3 * share), "opens", "irregular"),
-    "off by -0.3 mm at 5 mm": (lambda share: one_off(5.0, -0.3 * share), "opens", "irregular"),
+    "off by a tenth of 1 mm": (lambda share: one_off(1.0, 0.1 * share), "opens", "slices-resampled"),
+    "off by 0.06 mm at 0.5 mm": (lambda share: one_off(0.5, 0.06 * share), "opens", "slices-resampled"),
+    "off by 0.3 mm at 5 mm": (lambda share: one_off(5.0, 0.3 * share), "opens", "slices-resampled"),
+    "off by -0.3 mm at 5 mm": (lambda share: one_off(5.0, -0.3 * share), "opens", "slices-resampled"),
     # One gap: twice the limit of a slice off the grid.
-    "gap longer by a fifth of 1 mm": (lambda share: longer_gap(1.0, share, 0.1), "opens", "irregular"),
-    "gap shorter by a fifth of 1 mm": (lambda share: longer_gap(1.0, share, 0.1, -1), "opens", "irregular"),
-    "gap longer by 0.6 mm at 5 mm": (lambda share: longer_gap(5.0, share, 0.3), "opens", "irregular"),
+    "gap longer by a fifth of 1 mm": (lambda share: longer_gap(1.0, share, 0.1), "opens", "slices-resampled"),
+    "gap shorter by a fifth of 1 mm": (lambda share: longer_gap(1.0, share, 0.1, -1), "opens", "slices-resampled"),
+    "gap longer by 0.6 mm at 5 mm": (lambda share: longer_gap(5.0, share, 0.3), "opens", "slices-resampled"),
     # Shift perpendicular to the normal: limit of 0.1 mm, or a tenth of the smaller pixel side.
     "sideways 0.1 mm at 0.7 mm pixels": (lambda share: sideways(0.1 * share, (0.7, 0.7)), "opens", "shifted"),
     "sideways -0.1 mm along y": (lambda share: sideways(-0.1 * share, (0.7, 0.7), axis=1), "opens", "shifted"),
@@ -171,6 +181,10 @@ BOUNDS = {
     "leaning 35 degrees": (lambda share: tilted(35.0 * share, 30), "tilt-corrected", "tilt"),
     # Missing slices: at most 3 in a gap, a gap of at most 10 mm (and the tolerance), a tenth of the slices.
     "gap of 10.6 mm at 5 mm": (lambda share: wide_gap(10.6 * share, 5.0), "slices-interpolated", "irregular"),
+    # Uneven distances: at most 4 times the usual one and 10 mm, at least a fifth of the usual one.
+    "distance of 4 mm at 1 mm": (lambda share: two_distances(1.0, 4.0 * share), "slices-resampled", "irregular"),
+    "distance of 10 mm at 4 mm": (lambda share: two_distances(4.0, 10.0 * share), "slices-resampled", "irregular"),
+    "distance of 0.2 mm at 1 mm": (lambda share: short_distance(0.2 / share), "slices-resampled", "irregular"),
     # Position of the far corner of the image: limit of 0.1 mm.
     "rows turned": (lambda share: turned(0.1 * share, "row"), "opens", "mixed"),
     "columns turned": (lambda share: turned(0.1 * share, "column"), "opens", "mixed"),
@@ -238,19 +252,31 @@ def test_affine_matrix_of_a_series_has_the_positions_of_the_slices_and_their_til
     np.testing.assert_allclose(found.lps_from_ijk, expected, rtol=0, atol=1e-12)
 
 
-def test_slice_gap_of_a_fractional_number_of_slices_is_refused_as_irregular():
+def test_slice_gap_of_a_fractional_number_of_slices_is_resampled():
     gaps = [1.0] * 20
     gaps[7] = 2.5
-    with pytest.raises(VolumeImportError, match=r"found 2\.50 mm") as caught:
-        grid_from_slices(stack(heights(*gaps)), what="reading a series")
-    assert "missing" not in str(caught.value)
-    assert "more places" not in str(caught.value)
+    (note,) = grid_from_slices(stack(heights(*gaps)), what="reading a series").notes
+    assert "another one after slice 8)" in note.words
+    assert note.badge
 
 
 def test_number_of_further_irregular_slice_gaps_is_stated():
     gaps = [1.0] * 20
-    gaps[7] = gaps[11] = 2.5
+    gaps[7] = gaps[11] = 14.5
     with pytest.raises(VolumeImportError, match=r"\(and at 1 more places\)"):
+        grid_from_slices(stack(heights(*gaps)), what="reading a series")
+
+
+@pytest.mark.parametrize(("count", "expected"), [(4, "irregular"), (5, "slices-resampled")])
+def test_uneven_stack_of_few_slices_is_refused(count, expected):
+    assert answer(stack(heights(*[1.0, 1.0, 1.0, 1.6][5 - count :]))) == expected
+
+
+@pytest.mark.parametrize("num_pairs", [3, 12])
+def test_slices_of_two_mixed_scans_are_refused(num_pairs):
+    """Two scans of 2.5 mm, displaced by 0.8 mm, that overlap in a part of the stack."""
+    gaps = [2.5] * (30 - num_pairs) + [0.8, 1.7] * num_pairs
+    with pytest.raises(VolumeImportError, match="two distances alternate"):
         grid_from_slices(stack(heights(*gaps)), what="reading a series")
 
 
@@ -300,8 +326,8 @@ def test_each_limit_of_a_grid_header_separates_accepted_from_refused_values(give
 
 @pytest.mark.parametrize(
     ("widest_mm", "generation"),
-    # Limits are the airway diameters of Weibel; 1.54 mm (generation 9) is the last one above the visible 1.5 mm.
-    [(0.5, 9), (1.54, 9), (1.541, 8), (1.86, 8), (1.861, 7), (2.3, 7), (2.301, 6), (18.0, 0), (30.0, 0)],
+    # At each limit, the airway diameter of Weibel is the root of the squares of 1.5 mm and 0.95 times the spacing.
+    [(0.5, 8), (1.157, 8), (1.158, 7), (1.835, 7), (1.836, 6), (18.88, 0), (30.0, 0)],
 )
 def test_trusted_airway_generation_changes_at_each_voxel_size_limit(widest_mm, generation):
     assert trusted_generation((0.5, 0.5, widest_mm)) == generation

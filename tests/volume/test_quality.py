@@ -34,10 +34,15 @@ def codes(volume: Volume) -> list[str]:
 
 @pytest.mark.parametrize(
     ("spacing_mm", "generation"),
-    [((0.6, 0.6, 0.6), 9), ((0.7, 0.7, 1.25), 9), ((0.7, 0.7, 2.0), 7), ((0.7, 0.7, 3.0), 5), ((0.8, 0.8, 5.0), 3)],
+    [((0.6, 0.6, 0.6), 8), ((0.7, 0.7, 1.25), 7), ((0.7, 0.7, 2.0), 6), ((0.7, 0.7, 3.0), 5), ((0.8, 0.8, 5.0), 3)],
 )
 def test_trusted_airway_generation_depends_on_the_widest_voxel_spacing(spacing_mm, generation):
     assert trusted_generation(spacing_mm) == generation
+
+
+@pytest.mark.parametrize(("noise_hu", "generation"), [(None, 8), (25.0, 8), (45.0, 8), (85.0, 7), (130.0, 6)])
+def test_trusted_airway_generation_falls_with_noise(noise_hu, generation):
+    assert trusted_generation((0.7, 0.7, 0.7), noise_hu) == generation
 
 
 def test_complete_lungs_are_found_and_not_reported_as_cut():

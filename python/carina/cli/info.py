@@ -9,7 +9,8 @@ from carina.cli.case import case_json, case_lines
 from carina.cli.console import print_json, print_note, print_result, progress_printer
 from carina.cli.opened import check_case_options, open_input_volume
 from carina.session import is_case_file
-from carina.volume import badges_of, inspect_path, quality_gate
+from carina.track import CtAssessment, assess_ct
+from carina.volume import Quality, badges_of, inspect_path, quality_gate
 
 
 def report(path: Path, *, strict: bool, series: str | None, as_json: bool, ct: Path | None = None) -> int:
@@ -19,7 +20,7 @@ def report(path: Path, *, strict: bool, series: str | None, as_json: bool, ct: P
     inspection = None if is_case_file(path) else inspect_path(path, series=series)
     volume = open_input_volume(path, series=series, progress=progress, ct=ct)
     case: dict[str, Any] = {"case": case_json(path)} if is_case_file(path) else {}
-    quality = quality_gate(volume)
+    quality: Quality | CtAssessment = assess_ct(volume) if volume.is_hu else quality_gate(volume)
     badges = badges_of(volume)
     low, high = volume.value_range
     if as_json:
@@ -66,6 +67,10 @@ def report(path: Path, *, strict: bool, series: str | None, as_json: bool, ct: P
             print_result(f"  {'finding' if note.badge else 'note'}: {note.words}")
         for finding in quality.findings:
             print_result(f"  quality: {finding.words}")
+        if volume.is_hu:
+            print_result(
+                f"  airways can be trusted to about generation {quality.trusted_generation} (the trachea is 0)"
+            )
         if volume.source.citation:
             print_result(f"  {volume.source.citation}")
         if case:

@@ -1,5 +1,6 @@
 """Airway lumen, least-cost paths and the airway tree (paper 6)."""
 
+from carina.track.ct_assessment import CtAssessment, assess_ct
 from carina.track.edit.add_branch_path import BranchWay, branch_way
 from carina.track.edit.edits import (
     AddBranch,
@@ -62,6 +63,7 @@ __all__ = [
     "Bridge",
     "CalibratedShares",
     "CalibreShare",
+    "CtAssessment",
     "CutBranch",
     "DrawnPart",
     "EditPreview",
@@ -93,6 +95,7 @@ __all__ = [
     "TreeRow",
     "Uncertainty",
     "aimed_path",
+    "assess_ct",
     "branch_side_and_lobe",
     "branch_way",
     "drawn_part",

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import bz2
 import contextlib
+import errno
 import gzip
 import io
 import lzma
@@ -229,7 +230,8 @@ class _Unpacking:
         except (gzip.BadGzipFile, UnicodeError, ValueError, OverflowError, IndexError, RecursionError) as error:
             raise _damaged(shown, error) from None
         except OSError as error:
-            if error.errno is not None or isinstance(error, CarinaError):
+            # A damaged zip directory states positions before the begin of the file (EINVAL).
+            if error.errno not in (None, errno.EINVAL) or isinstance(error, CarinaError):
                 raise
             # The decoder of bzip2 reports damaged data by an OSError without a number.
             raise _damaged(shown, error) from None

@@ -17,6 +17,7 @@ from carina.volume.dicom_checks import (
     Clipping,
     check_rescale_tags,
     doubt_notes,
+    is_odd,
     odd_slices,
     refuse_contradicting_rescale,
 )
@@ -49,6 +50,7 @@ _PHASES = {
     "TemporalPositionTimeOffset": "time {} s",
 }
 _IMAGE_TYPE = list(SETTINGS).index("ImageType")
+_ODD = Doubt("import.slices-odd", "a slice differs from both its neighbours far more than they differ from each other")
 _ELSEWHERE = re.compile(r"head|brain|skull|neuro|sinus|abdom|pelvi|spine|knee|foot|hand|leg\b|hip\b", re.IGNORECASE)
 
 
@@ -411,15 +413,11 @@ def open_series(series: FoundSeries, *, others: Sequence[SeriesInfo], notes: tup
         all_notes.append(
             Note("import.lossy", "the slices were compressed with loss; thin walls may be blurred", badge=True)
         )
-    if first.modality == "CT":
-        odd = Doubt(
-            "import.slices-odd", ("a slice differs from both its neighbours far more than they differ from each other")
-        )
-        compressed = any(is_compressed(header) for header in series.slices)
+    if first.modality == "CT" and stack.uneven is None:
         slice_mm = float(np.linalg.norm(stack.grid.lps_from_ijk[:3, 2]))
         at_level = dict(zip(stack.levels, stack.slices, strict=True))
-        found = odd_slices(values, compressed=compressed, slice_mm=slice_mm)
-        doubts.extend((at_level[level], odd) for level in found if level in at_level)
+        found = odd_slices(values, compressed=any(map(is_compressed, series.slices)), slice_mm=slice_mm)
+        doubts.extend((at_level[level], _ODD) for level in found if level in at_level)
     in_doubt = doubt_notes(doubts, len(series.slices))
     verdict = judge_dicom(
         values,
@@ -469,6 +467,7 @@ def _read_slices(
     assert stack is not None
     values: NDArray[np.int16] | None = None
     before: tuple[SliceHeader, NDArray[Any]] | None = None
+    planes: dict[int, NDArray[np.int16]] = {}
     for index, (header, level) in enumerate(zip(stack.slices, stack.levels, strict=True)):
         watch.step("Reading the slices", index / len(stack.slices))
         pixels = decode_slice(header)
@@ -485,12 +484,28 @@ def _read_slices(
         if numbers.dtype.kind == "f":
             numbers = np.rint(numbers)
         numbers = clipping.clip(header, numbers)
-        values[level] = numbers if stack.tilt is None else stack.tilt.correct(numbers.astype(np.int16), index)
+        if stack.tilt is not None:
+            numbers = stack.tilt.correct(numbers.astype(np.int16), index)
+        if stack.uneven is None:
+            values[level] = numbers
+        else:
+            planes[index] = numbers.astype(np.int16)
+            planes.pop(index - 4, None)
+            if index >= 2:
+                stack.uneven.fill(values, index - 2, planes)
+                # Interpolated slices resemble their neighbours, so that the measured slices are compared.
+                three = (planes[index - 2], planes[index - 1], planes[index])
+                slice_mm = float(stack.uneven.gaps_mm[index - 2 : index].max())
+                if header.modality == "CT" and is_odd(*three, compressed=is_compressed(header), slice_mm=slice_mm):
+                    doubts.append((stack.slices[index - 1], _ODD))
     assert values is not None  # a grid has at least two slices
+    if stack.uneven is not None:
+        stack.uneven.fill(values, len(stack.slices) - 2, planes)
     if stack.tilt is not None:
-        stack.tilt.fill_beyond(values, stack.levels, (stack.slices[0].rows, stack.slices[0].columns))
-    for low, high in itertools.pairwise(stack.levels):
-        fill_between(values, low, high)
+        stack.tilt.fill_beyond(values, stack.sources, (stack.slices[0].rows, stack.slices[0].columns))
+    if stack.uneven is None:
+        for low, high in itertools.pairwise(stack.levels):
+            fill_between(values, low, high)
     return values
 
 

@@ -158,18 +158,26 @@ def odd_slices(values: NDArray[np.int16], *, compressed: bool, slice_mm: float) 
     list of int
         Indices of the slices, ascending.
     """
-    if len(values) < 3:
-        return []
-    whole = [_fits_worst(*neighbours, tile=None) for neighbours in zip(values, values[1:], values[2:], strict=False)]
-    found = {at + 1 for at, excess in enumerate(whole) if excess > 20}
-    if compressed:
-        tile = max(8, values.shape[1] // 16)
-        most = 100.0 * max(slice_mm / 2.0, 1.0) ** 1.5
-        parts = [
-            _fits_worst(*neighbours, tile=tile) for neighbours in zip(values, values[1:], values[2:], strict=False)
-        ]
-        found |= {at + 1 for at, excess in enumerate(parts) if excess > most}
-    return sorted(found)
+    triples = zip(values, values[1:], values[2:], strict=False)
+    return [at + 1 for at, three in enumerate(triples) if is_odd(*three, compressed=compressed, slice_mm=slice_mm)]
+
+
+def is_odd(
+    below: NDArray[Any], middle: NDArray[Any], above: NDArray[Any], *, compressed: bool, slice_mm: float
+) -> bool:
+    """Return whether a slice differs from both neighbours far more than these differ from each other.
+
+    Parameters
+    ----------
+    below, middle, above
+        (ny, nx) HU of three slices.
+    compressed, slice_mm
+        As for :func:`odd_slices`.
+    """
+    if _fits_worst(below, middle, above, tile=None) > 20:
+        return True
+    most = 100.0 * max(slice_mm / 2.0, 1.0) ** 1.5
+    return compressed and _fits_worst(below, middle, above, tile=max(8, middle.shape[0] // 16)) > most
 
 
 def _fits_worst(below: NDArray[Any], middle: NDArray[Any], above: NDArray[Any], *, tile: int | None) -> float:

@@ -1,7 +1,8 @@
 """Grid of a DICOM series from the tags of every slice.
 
 A series without a regular, rectangular grid is refused, unless its slices can be put on such a grid with certainty: a
-tilted gantry (``tilt_correction``) and a few missing slices (``missing_slices``) are corrected, with a badge.
+tilted gantry (``tilt_correction``), a few missing slices (``missing_slices``) and uneven slice distances
+(``uneven_slices``) are corrected, with a badge.
 
 The third axis is the offset from slice to slice according to ImagePositionPatient (PS3.3 C.7.6.2.1.1). SliceThickness
 is not used: it is the thickness of tissue that one slice averages, and overlapping slices or gaps are common.
@@ -32,6 +33,7 @@ from carina.volume.digest import Geometry
 from carina.volume.missing_slices import fillable_levels, interpolated_note, missing_levels
 from carina.volume.model import Note
 from carina.volume.tilt_correction import MAX_TILT_DEG, TiltShifts
+from carina.volume.uneven_slices import UnevenSlices
 
 MAX_CORNER_SHIFT_MM = 0.1
 
@@ -45,9 +47,11 @@ class SliceStack:
     grid: Geometry
     """Shape of the volume, and its transform from voxel centres to LPS mm."""
     levels: tuple[int, ...]
-    """Index of each slice in the volume."""
+    """Index in the volume of each slice, or of the nearest even slice."""
     tilt: TiltShifts | None = None
     """Correction of the gantry tilt; None for a rectangular stack."""
+    uneven: UnevenSlices | None = None
+    """Resampling of uneven slice distances; None if each slice is a slice of the volume."""
 
     @property
     def lps_from_ijk(self) -> NDArray[np.float64]:
@@ -61,13 +65,20 @@ class SliceStack:
 
     @property
     def missing(self) -> tuple[int, ...]:
-        """Indices in the volume of interpolated slices."""
+        """Indices in the volume of interpolated slices, farther than half a slice distance from each measured one."""
         return missing_levels(self.levels)
 
     @property
     def is_corrected(self) -> bool:
         """Whether voxels of the volume are not pixels of the slices."""
-        return self.tilt is not None or len(self.levels) < self.shape_zyx[0]
+        return self.tilt is not None or self.uneven is not None or len(self.levels) < self.shape_zyx[0]
+
+    @property
+    def sources(self) -> tuple[tuple[int, tuple[int, ...]], ...]:
+        """Indices in the volume of the slices with measured values, each with the indices of its measured slices."""
+        if self.uneven is not None:
+            return tuple(enumerate(self.uneven.sources))
+        return tuple((level, (index,)) for index, level in enumerate(self.levels))
 
     @property
     def notes(self) -> tuple[Note, ...]:
@@ -79,7 +90,9 @@ class SliceStack:
                 "and interpolated to a rectangular grid, so the voxels are not the pixels of the scanner"
             )
             notes.append(Note("import.tilt-corrected", words, badge=True))
-        if self.missing:
+        if self.uneven is not None:
+            notes.append(self.uneven.note())
+        elif self.missing:
             notes.append(interpolated_note(self.missing, self.shape_zyx[0]))
         return tuple(notes)
 
@@ -122,10 +135,11 @@ def _check_alike(slices: Sequence[SliceHeader], what: str) -> None:
 
 def _levels(
     along_mm: NDArray[np.float64], ordered: Sequence[SliceHeader], what: str, *, fills_gaps: bool
-) -> NDArray[np.int64]:
-    """Return the index of each slice in the volume; a number that no slice has is that of a missing slice.
+) -> tuple[NDArray[np.int64], UnevenSlices | None]:
+    """Return the index of each slice in the volume, and the resampling of slices with uneven distances.
 
-    Raises an error if two slices have one position, or if the distances of neighbouring slices are irregular.
+    An index that no slice has is that of a missing slice. Raises an error if two slices have one position, or if the
+    distances of neighbouring slices are irregular and cannot be corrected.
     """
     count = len(ordered)
     gaps = np.diff(along_mm)
@@ -143,47 +157,52 @@ def _levels(
     tolerance = min(max(0.1 * expected, 0.06), 0.3)
     wrong = np.flatnonzero(np.abs(gaps - expected) > 2 * tolerance)
     levels: NDArray[np.int64] | None = np.arange(count)
+    limit = ""
     if wrong.size:
         levels, limit = fillable_levels(gaps, expected, 2 * tolerance)
-        if levels is not None and (setting := _setting_that_changes_at_a_gap(levels, ordered)):
+        if levels is not None and (setting := _setting_that_changes(np.flatnonzero(np.diff(levels) > 1), ordered)):
             levels, limit = None, f"the slices on both sides of the gap differ in {setting}, so it is not interpolated"
         if not fills_gaps:
             levels = None
-    if levels is None:
-        at = int(wrong[0])
-        more = f" (and at {wrong.size - 1} more places)" if wrong.size > 1 else ""
-        missing = round(float(gaps[at]) / expected) - 1
-        cause = (
-            f"; {'a slice' if missing == 1 else f'{missing} slices'} may be missing from the series"
-            if missing >= 1 and abs(gaps[at] - (missing + 1) * expected) <= 2 * tolerance
-            else ""
-        )
-        problem = (
-            f"slice spacing is irregular: expected {expected:.2f} mm, found {gaps[at]:.2f} mm after slice {at + 1} of "
-            f"{count} ({ordered[at].file_name}){more}{cause}{f' ({limit})' if limit else ''}"
-        )
-        raise _refuse(
-            what, problem, ("copy the whole series again, or choose another series"), "import.geometry.irregular"
-        )
-    regular = along_mm[0] + levels * (along_mm[-1] - along_mm[0]) / levels[-1]
-    off = np.abs(along_mm - regular)
-    if float(off.max()) > tolerance:
+    off = np.zeros(count)
+    if levels is not None:
+        off = np.abs(along_mm - along_mm[0] - levels * (along_mm[-1] - along_mm[0]) / levels[-1])
+        if float(off.max()) <= tolerance:
+            return levels, None
+    if fills_gaps and not limit:
+        uneven, limit = UnevenSlices.of(along_mm)
+        if uneven is not None and not (setting := _setting_that_changes(wrong, ordered)):
+            return uneven.levels, uneven
+        limit = limit or f"the slices on both sides of it differ in {setting}, so the stack is not resampled"
+    because = f" ({limit})" if limit else ""
+    if levels is not None:
         at = int(off.argmax())
         problem = (
             f"slice spacing is irregular: slice {at + 1} of {count} ({ordered[at].file_name}) lies {off[at]:.2f} "
-            f"mm off the regular {expected:.2f} mm grid; expected at most {tolerance:.2f} mm"
+            f"mm off the regular {expected:.2f} mm grid; expected at most {tolerance:.2f} mm{because}"
         )
         raise _refuse(what, problem, "choose another series", "import.geometry.irregular")
-    return levels
+    at = int(wrong[0])
+    more = f" (and at {wrong.size - 1} more places)" if wrong.size > 1 else ""
+    missing = round(float(gaps[at]) / expected) - 1
+    cause = (
+        f"; {'a slice' if missing == 1 else f'{missing} slices'} may be missing from the series"
+        if missing >= 1 and abs(gaps[at] - (missing + 1) * expected) <= 2 * tolerance
+        else ""
+    )
+    problem = (
+        f"slice spacing is irregular: expected {expected:.2f} mm, found {gaps[at]:.2f} mm after slice {at + 1} of "
+        f"{count} ({ordered[at].file_name}){more}{cause}{because}"
+    )
+    raise _refuse(what, problem, "copy the whole series again, or choose another series", "import.geometry.irregular")
 
 
-def _setting_that_changes_at_a_gap(levels: NDArray[np.int64], ordered: Sequence[SliceHeader]) -> str:
-    """Return the name of a setting with different values on both sides of a gap; empty if there is none.
+def _setting_that_changes(gaps: NDArray[np.int64], ordered: Sequence[SliceHeader]) -> str:
+    """Return the name of a setting with different values on both sides of one of the gaps; empty if there is none.
 
     Such slices may come from different reconstructions or breaths, between which nothing can be interpolated. A setting
     with a different value in nearly every slice (a time, a counter) does not separate them.
     """
-    gaps = np.flatnonzero(np.diff(levels) > 1)
     for number, name in enumerate(SETTINGS.values()):
         values = [header.settings[number] for header in ordered]
         if 2 * len(set(values)) <= len(values) and any(values[at] != values[at + 1] for at in gaps):
@@ -201,7 +220,7 @@ def grid_from_slices(slices: Sequence[SliceHeader], *, what: str, fills_gaps: bo
     what
         Beginning of error messages, such as "reading series 3 (Thorax)".
     fills_gaps
-        Whether a few missing slices may be interpolated.
+        Whether a few missing slices may be interpolated, and uneven distances resampled.
 
     Returns
     -------
@@ -228,7 +247,7 @@ def grid_from_slices(slices: Sequence[SliceHeader], *, what: str, fills_gaps: bo
     )
     positions = np.array([header.position_lps for header in ordered])
     along = positions @ normal
-    levels = _levels(along, ordered, what, fills_gaps=fills_gaps)
+    levels, uneven = _levels(along, ordered, what, fills_gaps=fills_gaps)
 
     step = (positions[-1] - positions[0]) / levels[-1]
     height = float(along[-1] - along[0])
@@ -243,7 +262,7 @@ def grid_from_slices(slices: Sequence[SliceHeader], *, what: str, fills_gaps: bo
         )
         way_out = "export the series with the tilt corrected, or choose another one"
         raise _refuse(what, problem, way_out, "import.geometry.tilt")
-    line = positions[0] + levels[:, None] * step
+    line = positions[0] + (levels if uneven is None else uneven.places)[:, None] * step
     across = positions - line
     across = np.linalg.norm(across - np.outer(across @ normal, normal), axis=1)
     allowed = max(MAX_CORNER_SHIFT_MM, 0.1 * min(first.spacing_mm))
@@ -268,4 +287,4 @@ def grid_from_slices(slices: Sequence[SliceHeader], *, what: str, fills_gaps: bo
         lps_from_ijk[:3, 2] = normal * height / levels[-1]
         lps_from_ijk[:3, 3] += lps_from_ijk[:3, :2] @ np.array(tilt.first_yx[::-1], dtype=np.float64)
     shape_zyx = (int(levels[-1]) + 1, *shape_yx)
-    return SliceStack(tuple(ordered), Geometry(shape_zyx, lps_from_ijk), tuple(levels.tolist()), tilt)
+    return SliceStack(tuple(ordered), Geometry(shape_zyx, lps_from_ijk), tuple(levels.tolist()), tilt, uneven)

@@ -19,6 +19,7 @@ MAX_GAP_MM = 10.0
 """Largest distance in mm of the two slices beside a gap that is filled."""
 MAX_MISSING_SHARE = 0.1
 """Largest share of a volume's slices that may be interpolated."""
+_MAX_NAMED = 6
 
 
 def fillable_levels(
@@ -52,20 +53,25 @@ def missing_levels(levels: Sequence[int]) -> tuple[int, ...]:
     return tuple(sorted(set(range(levels[-1] + 1)) - set(levels)))
 
 
-def interpolated_note(missing: Sequence[int], num_levels: int) -> Note:
-    """Return the badge that names the interpolated slices; slices are counted from 1 at the first slice."""
+def named_slices(levels: Sequence[int]) -> str:
+    """Return the numbers of ascending slices, counted from 1, as ranges: "3, 7 to 9"; of many ranges the first six."""
     ranges: list[list[int]] = []
-    for level in missing:
+    for level in levels:
         if ranges and ranges[-1][1] == level - 1:
             ranges[-1][1] = level
         else:
             ranges.append([level, level])
     named = [f"{low + 1}" if low == high else f"{low + 1} to {high + 1}" for low, high in ranges]
-    shown = ", ".join(named[:6]) + (f" and {len(named) - 6} more gaps" if len(named) > 6 else "")
+    return ", ".join(named[:_MAX_NAMED]) + (f" and {len(named) - _MAX_NAMED} more" if len(named) > _MAX_NAMED else "")
+
+
+def interpolated_note(missing: Sequence[int], num_levels: int) -> Note:
+    """Return the badge that names the interpolated slices; slices are counted from 1 at the first slice."""
     count = len(missing)
     verb = "slices is missing and was" if count == 1 else "slices are missing and were"
     words = (
-        f"{count} of {num_levels} {verb} interpolated between the neighbours (slice{'s' if count > 1 else ''} {shown}, "
+        f"{count} of {num_levels} {verb} interpolated between the neighbours (slice{'s' if count > 1 else ''} "
+        f"{named_slices(missing)}, "
         "counted from the first): nothing was measured there, so airways and measurements in them are not reliable"
     )
     return Note("import.slices-interpolated", words, badge=True)

@@ -17,6 +17,7 @@ WITHOUT_NAMES = frozenset(
         "import.rescale-absent",
         "import.scaling",
         "import.slices-interpolated",
+        "import.slices-resampled",
         "import.tilt-corrected",
         "import.two-patients",
     }

@@ -84,24 +84,27 @@ class TiltShifts:
         wide = _moved(values, float(self.column_shifts[index]), self.shape_yx[1], axis=1, beyond=least)
         return _moved(wide, float(self.row_shifts[index]), self.shape_yx[0], axis=0, beyond=least)
 
-    def fill_beyond(self, values_zyx: NDArray[np.int16], levels: Sequence[int], own_yx: tuple[int, int]) -> None:
+    def fill_beyond(
+        self, values_zyx: NDArray[np.int16], sources: Sequence[tuple[int, Sequence[int]]], own_yx: tuple[int, int]
+    ) -> None:
         """Set the pixels beyond each slice to the smallest value of the volume, at least that of air.
 
         Parameters
         ----------
         values_zyx
             The volume; changed in place.
-        levels
-            Index of each slice in the volume.
+        sources
+            Index in the volume of each slice, with the indices of the scanned slices from which it was made.
         own_yx
             Rows and columns of a slice before the correction.
         """
-        air = max(min(int(values_zyx[level].min()) for level in levels), _AIR_HU)
-        for index, level in enumerate(levels):
-            top, bottom = _covered(float(self.row_shifts[index]), own_yx[0], self.shape_yx[0])
-            left, right = _covered(float(self.column_shifts[index]), own_yx[1], self.shape_yx[1])
+        air = max(min(int(values_zyx[level].min()) for level, _ in sources), _AIR_HU)
+        for level, indices in sources:
             one = values_zyx[level]
-            one[:top], one[bottom:], one[:, :left], one[:, right:] = air, air, air, air
+            for index in indices:
+                top, bottom = _covered(float(self.row_shifts[index]), own_yx[0], self.shape_yx[0])
+                left, right = _covered(float(self.column_shifts[index]), own_yx[1], self.shape_yx[1])
+                one[:top], one[bottom:], one[:, :left], one[:, right:] = air, air, air, air
 
 
 def _covered(shift: float, count: int, size: int) -> tuple[int, int]:

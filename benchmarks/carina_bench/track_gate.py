@@ -1,0 +1,228 @@
+"""``carina bench track --only gate``: the assessment of a CT beside phantoms with one degradation each.
+
+Each phantom is degraded in one way. The assessment must name this degradation and no other, and the trusted generation
+must differ from the true one by at most one. The true one is the last generation up to which the search finds at least
+:data:`FOUND` of the true length of every generation.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any
+
+import numpy as np
+
+from carina.errors import CarinaError
+from carina.phantom import Phantom, generate_phantom
+from carina.track import assess_ct, find_airways
+from carina.volume import Finding, Volume
+from carina_bench.track_disturbed_cases import Step, noisy, stepped, stepped_points, with_clips
+from carina_bench.track_quality import is_near
+from carina_bench.track_truth import Truth, truth_of_phantom
+
+__all__ = ["DEGRADATIONS", "OPTIONS", "SEEDS", "degraded", "run", "true_generation"]
+
+Say = Callable[[str], None]
+Row = dict[str, Any]
+
+SEEDS = {"fit": (301, 302, 303), "held": (411, 412, 413, 414)}
+"""Seeds of the phantoms for the calibration of the limits, and of those that are only judged."""
+PIXEL_MM, NOISE_HU, NOISE_MM = 1.1, 20.0, 0.6
+"""Spacing of the phantoms in mm, noise of an undegraded one in HU, and the sigma of its correlation in mm."""
+GENERATIONS = 9
+BOX_LPS = ((-174.0, -126.0, -232.0), (174.0, 126.0, 112.0))
+"""Box that contains the whole lungs, LPS mm."""
+OPTIONS: dict[str, Any] = {"spacing_mm": PIXEL_MM, "noise_hu": 0.0, "generations": GENERATIONS, "box_lps": BOX_LPS}
+"""Options of a phantom before its degradation."""
+FOUND = 0.8
+"""Least share of the true length of a generation that is found, for a generation that can be trusted."""
+STEP = Step(above_lps_z=-30.0, shift_mm=(0.0, 3.3, 6.6))
+
+
+def _sharpened(volume: Volume) -> Volume:
+    """Return the CT with an overshoot in plane, as a sharp kernel makes."""
+    values = volume.hu_zyx.astype(np.float32)
+    wide = values
+    for axis in (1, 2):
+        wide = sum(w * np.roll(wide, by, axis) for by, w in ((-1, 0.25), (0, 0.5), (1, 0.25)))
+    return _with(volume, values + 1.6 * (values - wide))
+
+
+def _with(volume: Volume, values: Any) -> Volume:
+    return dataclasses.replace(volume, hu_zyx=np.clip(np.rint(values), -1024, 3071).astype(np.int16))
+
+
+def _thick(volume: Volume, count: int = 3) -> Volume:
+    """Return the CT with slices that average a number of slices."""
+    num = volume.shape_zyx[0] // count
+    values = volume.hu_zyx[: num * count].reshape(num, count, *volume.shape_zyx[1:]).mean(axis=1)
+    matrix = volume.lps_from_ijk.copy()
+    matrix[:3, 3] += matrix[:3, 2] * (count - 1) / 2
+    matrix[:3, 2] *= count
+    return Volume(np.rint(values).astype(np.int16), matrix, source=volume.source)
+
+
+def _cropped(volume: Volume, from_mm: float, to_mm: float) -> Volume:
+    heights = volume.lps_from_ijk[2, 3] + volume.lps_from_ijk[2, 2] * np.arange(volume.shape_zyx[0])
+    inside = np.flatnonzero((heights >= from_mm) & (heights <= to_mm))
+    matrix = volume.lps_from_ijk.copy()
+    matrix[:3, 3] += matrix[:3, 2] * inside[0]
+    return Volume(np.ascontiguousarray(volume.hu_zyx[inside[0] : inside[-1] + 1]), matrix, source=volume.source)
+
+
+def _expired(volume: Volume) -> Volume:
+    """Return the CT with denser lungs; air and tissue stay the same."""
+    density = volume.hu_zyx.astype(np.float32) + 1000.0
+    factor = 1.0 + 0.9 * np.clip((600.0 - density) / 400.0, 0.0, 1.0) * (density > 60.0)
+    return _with(volume, density * factor - 1000.0)
+
+
+def _enhanced(volume: Volume) -> Volume:
+    """Return the CT with enhanced blood in a heart of about 0.4 litres."""
+    z, y, x = np.ogrid[tuple(slice(n) for n in volume.shape_zyx)]
+    dx, dy, dz = volume.spacing_mm
+    ox, oy, oz = volume.lps_from_ijk[:3, 3]
+    shape = ((ox + dx * x - 5) / 45) ** 2 + ((oy + dy * y + 35) / 40) ** 2 + ((oz + dz * z + 75) / 50) ** 2
+    values = volume.hu_zyx.copy()
+    values[(shape < 1.0) & (values > -20) & (values < 110)] = 300
+    return _with(volume, values)
+
+
+def _scaled(volume: Volume, factor: float) -> Volume:
+    matrix = volume.lps_from_ijk.copy()
+    matrix[:3] *= factor
+    return Volume(volume.hu_zyx, matrix, source=volume.source)
+
+
+def _noisy(volume: Volume, seed: int) -> Volume:
+    return noisy(volume, NOISE_HU, seed=seed, sigma_mm=NOISE_MM)
+
+
+Degrade = Callable[[Volume, int], Volume]
+DEGRADATIONS: dict[str, Degrade] = {
+    "none": _noisy,
+    "noise": lambda volume, seed: noisy(volume, 85.0, seed=seed, sigma_mm=NOISE_MM),
+    "slices": lambda volume, seed: _noisy(_thick(volume), seed),
+    "kernel": lambda volume, seed: _noisy(_sharpened(volume), seed),
+    "cut-top": lambda volume, seed: _noisy(_cropped(volume, -1e9, 55.0), seed),
+    "cut-bottom": lambda volume, seed: _noisy(_cropped(volume, -90.0, 1e9), seed),
+    "motion": lambda volume, seed: stepped(_noisy(volume, seed), STEP),
+    "expiration": lambda volume, seed: _noisy(_expired(volume), seed),
+    "contrast": lambda volume, seed: _noisy(_enhanced(volume), seed),
+    "tube": _noisy,
+    "metal": lambda volume, seed: with_clips(_noisy(volume, seed), (35.0, 5.0, -45.0), seed=seed),
+    "small-patient": lambda volume, seed: _noisy(_scaled(volume, 0.6), seed),
+    "large-patient": lambda volume, seed: _noisy(_scaled(volume, 1.35), seed),
+}
+"""Functions that degrade a phantom without noise, by the code of the finding that must be named (none: no finding)."""
+
+
+def degraded(name: str, phantom: Phantom, seed: int) -> tuple[Volume, Truth]:
+    """Return the degraded CT of a phantom, and its true airways in it."""
+    volume = DEGRADATIONS[name](phantom.volume, seed)
+    truth = truth_of_phantom(phantom.truth, phantom.lumen_zyx, phantom.volume)
+    factor = {"small-patient": 0.6, "large-patient": 1.35}.get(name, 1.0)
+    branches = []
+    for branch in truth.branches:
+        points, inside = branch.points * factor, np.ones(len(branch.points), dtype=np.bool_)
+        if name == "motion":
+            points, inside = stepped_points(points, STEP, phantom.volume)
+        ijk = volume.to_ijk(points)
+        inside &= ((ijk > -0.5) & (ijk < np.array(volume.shape_zyx[::-1]) - 0.5)).all(axis=1)
+        if inside.sum() >= 2:
+            radius = branch.radius_mm[inside] * factor
+            branches.append(dataclasses.replace(branch, points=points[inside], radius_mm=radius))
+    return volume, dataclasses.replace(truth, branches=tuple(branches))
+
+
+def true_generation(volume: Volume, truth: Truth, found_zyx: np.ndarray[Any, Any]) -> tuple[int, list[float]]:
+    """Return the last generation up to which at least :data:`FOUND` of the length is found, and all shares."""
+    length, hits = np.zeros(32), np.zeros(32)
+    for branch in truth.branches:
+        inside = is_near(found_zyx, volume, branch.points, 0.5 * max(volume.spacing_mm))
+        length[branch.generation] += len(branch.points)
+        hits[branch.generation] += inside.sum()
+    known = np.flatnonzero(length)
+    shares = (hits[known] / length[known]).tolist()
+    trusted = 0
+    for generation, share in zip(known.tolist(), shares, strict=True):
+        if share < FOUND:
+            break
+        trusted = generation
+    return trusted, shares
+
+
+def named_codes(findings: Sequence[Finding]) -> list[str]:
+    """Return the degradations that findings name; two findings about thick slices are one, cut lungs have a face."""
+    codes = []
+    for finding in findings:
+        if finding.code in ("spacing", "uneven"):
+            codes.append("slices")
+        elif finding.code == "cut":
+            codes += [
+                f"cut-{face}" for face in ("top", "bottom", "left", "right", "front", "back") if face in finding.words
+            ]
+        else:
+            codes.append(finding.code)
+    return sorted(set(codes))
+
+
+def cases(seeds: Sequence[int], names: Sequence[str], say: Say) -> Iterator[Row]:
+    """Yield codes, trusted generations and measured properties of each degraded phantom."""
+    for seed in seeds:
+        plain = generate_phantom(**OPTIONS, seed=seed)
+        for name in names:
+            made = plain
+            if name == "tube":
+                made = generate_phantom(**OPTIONS, seed=seed, tube="endotracheal")
+            volume, truth = degraded(name, made, seed)
+            try:
+                airways = find_airways(volume, progress=False)
+                found = airways.lumen_zyx != 0
+            except CarinaError as error:
+                say(f"{seed} {name}: {error}")
+                airways, found = None, np.zeros(volume.shape_zyx, np.bool_)
+            generation, shares = true_generation(volume, truth, found)
+            judged = assess_ct(volume, airways)
+            row = {
+                "case": name,
+                "seed": seed,
+                "codes": named_codes(judged.findings),
+                "trusted": judged.trusted_generation,
+                "true": generation,
+                "shares": [round(share, 2) for share in shares],
+                "pixel_mm": sorted(volume.spacing_mm)[1],
+                "slice_mm": max(volume.spacing_mm),
+                **{key: value for key, value in judged.to_json().items() if key.endswith(("_hu", "_mm", "_litres"))},
+            }
+            say(f"{row}")
+            yield row
+
+
+def run(quick: bool, say: Say, names: Sequence[str] = ()) -> list[Row]:
+    """Return a row for each degradation, and one for the trusted generation of all judged phantoms."""
+    seeds = SEEDS["held"][:1] if quick else SEEDS["held"]
+    found = list(cases(seeds, names or tuple(DEGRADATIONS), say))
+    rows: list[Row] = []
+    for name in names or tuple(DEGRADATIONS):
+        own = [row for row in found if row["case"] == name]
+        expected = [] if name == "none" else [name]
+        others = sorted({code for row in own for code in row["codes"]} - set(expected))
+        rows.append(
+            {
+                "what": "CTs whose degradation alone is named",
+                "case": name,
+                "figure": sum(row["codes"] == expected for row in own) / len(own),
+                "limit": 1.0,
+                "aim": True,
+                "note": f"{len(own)} CTs; others named: {', '.join(others) or 'none'}; trusted generation "
+                + ", ".join(f"{row['trusted']} (true {row['true']})" for row in own),
+            }
+        )
+    near = [abs(row["trusted"] - row["true"]) <= 1 for row in found]
+    rows.append(
+        {"what": "CTs whose trusted generation is right within one", "figure": sum(near) / len(near), "limit": 0.9,
+         "aim": True, "note": f"{sum(near)} of {len(near)}"}
+    )  # fmt: skip
+    return rows

@@ -1,0 +1,43 @@
+"""DICOM series that benchmarks open: one uncompressed file for each slice of a generated chest."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from pydicom.dataset import Dataset, FileMetaDataset
+from pydicom.uid import UID, CTImageStorage, ExplicitVRLittleEndian, generate_uid
+
+from carina.volume import Volume
+
+__all__ = ["BOX_LPS", "write_slices"]
+
+BOX_LPS = ((-179.2, -181.2, -189.5), (178.6, 176.6, 110.0))
+"""Box of the generated chest: lowest and highest corner, LPS mm."""
+
+
+def write_slices(volume: Volume, folder: Path, syntax: UID = ExplicitVRLittleEndian) -> Path:
+    """Write a DICOM series with one uncompressed file per slice, as a scanner does; return its folder."""
+    folder.mkdir()
+    series_uid, study_uid, frame_uid = generate_uid(), generate_uid(), generate_uid()
+    step, spacing = volume.lps_from_ijk, volume.spacing_mm
+    for index, values in enumerate(volume.hu_zyx):
+        dataset = Dataset()
+        dataset.file_meta = FileMetaDataset()
+        dataset.file_meta.TransferSyntaxUID = syntax
+        dataset.file_meta.MediaStorageSOPClassUID = dataset.SOPClassUID = CTImageStorage
+        dataset.SOPInstanceUID = dataset.file_meta.MediaStorageSOPInstanceUID = generate_uid()
+        dataset.ImageType = ["ORIGINAL", "PRIMARY", "AXIAL"]
+        dataset.Modality, dataset.SeriesDescription, dataset.SeriesNumber = "CT", "Synthetic chest", 1
+        dataset.StudyInstanceUID, dataset.SeriesInstanceUID = study_uid, series_uid
+        dataset.FrameOfReferenceUID = frame_uid
+        dataset.Rows, dataset.Columns = values.shape
+        dataset.PixelSpacing = [round(spacing[1], 6), round(spacing[0], 6)]
+        dataset.ImageOrientationPatient = [1, 0, 0, 0, 1, 0]
+        dataset.ImagePositionPatient = [round(float(v), 6) for v in step[:3, 3] + index * step[:3, 2]]
+        dataset.SamplesPerPixel, dataset.PhotometricInterpretation = 1, "MONOCHROME2"
+        dataset.BitsAllocated, dataset.BitsStored, dataset.HighBit, dataset.PixelRepresentation = 16, 16, 15, 1
+        dataset.RescaleSlope, dataset.RescaleIntercept = 1, 0
+        dataset.PixelData = values.astype("<i2" if syntax.is_little_endian else ">i2").tobytes()
+        dataset["PixelData"].VR = "OW"
+        dataset.save_as(folder / f"IM{index:04d}", enforce_file_format=True)
+    return folder
