@@ -299,9 +299,10 @@ class _Limits:
     sharpest: float
 
     def room_mm(self, chains: _Chains) -> Floats:
-        """Return by how many mm each chain is inside the lumen with the scope's radius; negative outside the lumen.
+        """Return the least distance in mm between the scope's surface and the wall, for each shape of the scope.
 
-        A chain that is more than `NEARLY_MM` outside is not examined further, so the value is an upper limit then.
+        A negative distance is the depth of the scope in the wall. If a shape is deeper than `NEARLY_MM` in the wall at
+        one place, its other places are not examined, so its distance is only an upper limit.
         """
         tips, forward = chains.ends()
         room = self.lumen.at(tips) + YIELD_MM

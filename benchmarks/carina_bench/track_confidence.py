@@ -205,7 +205,7 @@ def fitted_names(shares: Shares, fits: Shares, hits: Shares) -> tuple[float, flo
     return float(odds[0]), float(odds[1]), float(odds[2])
 
 
-# Collection of the data on the command line:
+# Functions that the command line calls to collect and store the data of the cases:
 
 
 def _collected(folder: Path, part: str, say: Say) -> tuple[list[list[Any]], list[list[Any]]]:

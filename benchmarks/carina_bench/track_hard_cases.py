@@ -46,9 +46,9 @@ SLICES: dict[str, Slices] = {
     "5mm-every-2.5mm": Slices(5.0, 2.5),
     **{f"{mm:g}mm-resampled": Slices(mm, is_resampled=True) for mm in (1.0, 1.5, 2.0, 2.5, 3.0, 5.0)},
 }
-"""Slice thicknesses and distances, by their names in the cases."""
+"""Slice thicknesses and distances between slices of the painted CTs, by their names in the cases."""
 ABOVE_MM, BELOW_MM = 30.0, 55.0
-"""Lengths above and below the carina that are painted, mm."""
+"""Lengths of the painted part of the airways above and below the carina, mm."""
 QUICK_MM = (25.0, 25.0)
 """Lengths above and below the carina that are painted in a quick run, mm."""
 QUICK = ("medium", "0.7mm")

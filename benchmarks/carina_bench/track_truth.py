@@ -67,10 +67,11 @@ def truth_of_phantom(truth: dict[str, Any], lumen_zyx: NDArray[np.uint8], volume
 
 
 def truth_of_mask(mask_zyx: NDArray[np.bool_], volume: Volume) -> Truth:
-    """Return the skeleton of the largest component of a mask (scikit-image), as a tree from its top without spurs.
+    """Return the reference tree of an airway mask: the skeleton of its largest component, rooted at the top.
 
-    A tube with a hole in its mask gives a loop of the skeleton; a loop is cut where the two ways from the top are
-    longest.
+    The skeleton (scikit-image) loses its spurs, which are short side branches caused by rough surfaces. A hole in the
+    mask of a tube makes a loop in the skeleton; the loop is cut at the point that is farthest from the top along
+    both sides.
     """
     measure: Any = importlib.import_module("skimage.measure")
     morphology: Any = importlib.import_module("skimage.morphology")

@@ -155,7 +155,10 @@ def _merged(wall: Floats, outwards: Floats, tubes: Sequence[TrueBranch]) -> Floa
 
 
 def _merged_mm(points: Floats, tubes: Sequence[TrueBranch]) -> Floats:
-    """Return the distance (n,) of each point from the rounded union of lumens, as the painter computes it, mm."""
+    """Return the distance (n,) of each point from the wall where several lumens join, mm; negative inside.
+
+    The edge of the joint is rounded by the formula with which `carina_bench.paint_tubes` paints it.
+    """
     least = np.full(len(points), 50.0)
     for tube in tubes:
         other = _outside_mm(tube, points)

@@ -207,8 +207,8 @@ impl Gpu {
                 });
             }
         }
-        // Leaps with a map of transparent classes read no label, so the reads are those of brute force plus the
-        // look-ups.
+        // A radius map of transparent classes has no labels. The reads of a picture with leaps are therefore counted
+        // as those of its samples by brute force, plus the reads of the map.
         Ok((walls, stats.with_loads(frame, Method::Brute)))
     }
 

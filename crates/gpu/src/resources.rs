@@ -37,7 +37,7 @@ pub struct GpuDecoration {
 pub struct Resident<'a> {
     /// Values of the frame's volume.
     pub volume: &'a GpuVolume,
-    /// Radii of the transparent classes; without a map every sample is taken.
+    /// Radius map for leaps over transparent classes; without a map the casters read every sample of a ray.
     pub map: Option<&'a GpuMap>,
     /// Anatomical data of the frame; without them, a decorated picture uploads them.
     pub decoration: Option<&'a GpuDecoration>,

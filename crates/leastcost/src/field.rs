@@ -451,7 +451,9 @@ impl StepCost for MeanCost {
 pub struct Quanta<C> {
     /// Path cost that one quantum represents: a weight, or a weight times a length in mm.
     pub unit: f64,
-    /// Number of quanta per weight for each of the 27 cells, in rows of three; lane 3 of each row of 4 is unused.
+    /// Quanta that a step costs per unit of weight, for each of the 27 voxels of the neighbourhood in rows of three.
+    ///
+    /// The fourth item of each row is unused: it fills a vector register of four lanes.
     pub(crate) scale: [[f32; 4]; 9],
     pub(crate) cheapest: f32,
     pub(crate) dearest: f32,

@@ -10,7 +10,7 @@ use crate::body::lung_distance;
 use crate::random::Random;
 use crate::shapes::{Piece, along, direction, hermite, mix, normals, sub, tilted};
 
-/// End of a vessel that may divide further, with its direction and radius.
+/// Open end of a vessel of the phantom during its construction: a further vessel may begin there.
 struct End {
     at: [f64; 3],
     dir: [f64; 3],

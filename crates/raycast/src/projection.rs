@@ -386,7 +386,7 @@ mod tests {
     use super::*;
     use carina_grid::{Affine, Grid};
 
-    // Registers that every machine has, used in the same way as the largest ones.
+    // SSE2, which every x86-64 processor has, with prefetching, so that each machine can test the prefetching code.
     #[cfg(target_arch = "x86_64")]
     registers!(
         Prefetching,

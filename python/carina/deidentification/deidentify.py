@@ -280,7 +280,7 @@ class _Run:
 
 
 def _encoded(dataset: Dataset) -> bytes:
-    """Return the file of a cleaned data set."""
+    """Return the bytes of a DICOM file (explicit VR, little endian) with the attributes of a de-identified data set."""
     meta = FileMetaDataset()
     meta.MediaStorageSOPClassUID = UID(str(dataset.get("SOPClassUID") or ""))
     meta.MediaStorageSOPInstanceUID = UID(str(dataset.get("SOPInstanceUID") or ""))

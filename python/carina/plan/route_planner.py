@@ -164,8 +164,8 @@ def plan_route(
         Doubts whether the target is a nodule (`carina.plan.target_doubts`) that the user has confirmed: True for all
         of them, or their codes. Those that a `PlanTarget` lists as confirmed are confirmed too.
     progress
-        False, True or ``f(what, fraction)``. True, as None, shows a bar in a terminal or a notebook. The fraction is
-        None where it is unknown.
+        False, True, None or ``f(what, fraction)``. True and None show a progress bar in a terminal or a notebook; False
+        shows none. The fraction is None while the progress is unknown.
     cancel
         Called often; the work stops when it returns True.
 

@@ -1,4 +1,4 @@
-"""Lens of the scope, outline of its picture, and the optics of both for a picture of a given size.
+"""Lens model of a bronchoscope, the outline of its picture, and the ray of each pixel for a given picture size.
 
 Camera axes: +x right, +y down, +z forward. Points of a picture are in corner coordinates: pixel (0, 0) is the corner of
 the top-left pixel, its centre is (0.5, 0.5).

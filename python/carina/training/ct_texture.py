@@ -214,7 +214,11 @@ def edge_shares(x_mm: Floats, sigma_mm: float, gain: float) -> Floats:
 
 
 def _noise(values: Values) -> tuple[float, Floats, Floats, float, int]:
-    """Return standard deviation, power by frequency, correlation between slices, and the number of patches."""
+    """Return the noise of a CT in flat patches of soft tissue.
+
+    The items are the standard deviation, the power by spatial frequency, the correlation between adjacent slices, and
+    the number of patches that were measured.
+    """
     soft = smoothed(values, 1.5)
     nz, ny, nx = values.shape
     y, x = np.mgrid[0:PATCH, 0:PATCH].reshape(2, -1) / PATCH - 0.5

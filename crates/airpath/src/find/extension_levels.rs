@@ -14,17 +14,17 @@ pub struct ExtensionLimits {
     pub brightest: i16,
     /// Smallest rise from a lumen to its wall, independent of the lung.
     pub least_rise: f64,
-    /// Longest path through less enclosed voxels, mm.
+    /// Longest part of a path through voxels that walls enclose less, mm; a path with a longer part is not followed.
     pub gap_mm: f64,
     /// Smallest length by which a path must lead out of the known lumen, mm.
     pub min_length_mm: f64,
-    /// Factor of the enclosure threshold that this volume's lung gives; normally 1.
+    /// Factor by which the enclosure threshold computed from the volume's lung is multiplied; normally 1.
     pub raised: f64,
     /// Largest share of the lung that the search may reach before it is cancelled.
     pub most_reached: f64,
-    /// Smallest accepted probability of a path together with all paths that it leaves.
+    /// Smallest probability, that a path and all its ancestors are airways, at which the path is added to the tree.
     pub least_probability: f64,
-    /// How thick slices were divided; None if voxels have the CT's own size.
+    /// Division of thick slices into thinner ones before the search; `None` if the voxels have the size of the CT's.
     pub divided: Option<Divided>,
 }
 
@@ -52,13 +52,13 @@ pub struct Divided {
 /// Airway that was followed beyond the end of the flood.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Followed {
-    /// Voxels of its centreline, from the lumen outwards.
+    /// Voxels of the airway's centreline, from the lumen outwards.
     pub voxels: Vec<u32>,
-    /// Length, mm.
+    /// Length of the airway's centreline, mm.
     pub length_mm: f64,
-    /// Probability that this path and all paths that it leaves are airways.
+    /// Probability that this path and all its ancestors are airways.
     ///
-    /// The value is 1 for the thinnest airways, which are judged in another way.
+    /// The value is 1 for the thinnest airways, which are accepted by the tube filter instead.
     pub probability: f64,
     /// Mean rise to the wall divided by the threshold from the lung (a value of 1 equals the most enclosed fiftieth of
     /// the lung).

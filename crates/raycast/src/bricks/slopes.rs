@@ -16,11 +16,11 @@ shared_constants! {
     /// A slope uses these six samples and eight samples at the corners of a box. The numbers were chosen by trial: on a
     /// plane edge blurred by 0.7 voxels the mean error of the normal is 0.2 degrees.
     pub(crate) const AXIS_AT: f32 = 1.2;
-    /// Weight of the differences between the samples on the axes.
+    /// Weight in a slope of the difference between the two samples on the axis of the slope.
     pub(crate) const AXIS_WEIGHT: f32 = 0.96;
     /// Distance of the corner samples from the voxel along each axis, in units of the reach.
     pub(crate) const CORNER_AT: f32 = 0.7;
-    /// Weight of the differences between the corner samples.
+    /// Weight in a slope of the difference between the samples at the corners before and behind the voxel.
     pub(crate) const CORNER_WEIGHT: f32 = 0.7;
 }
 

@@ -190,7 +190,7 @@ impl<'a> Voxels<'a> {
         [0, sy, sz, sy + sz]
     }
 
-    /// Return the interpolated values in cells.
+    /// Return the trilinearly interpolated value of the volume for each ray, at its position in its cell of 8 voxels.
     #[inline(always)]
     pub(super) fn value<L: Lanes>(&self, l: L, cells: &Cells<L>) -> L::F {
         // SAFETY: `cells` clamps the lower corner to last_cell in all lanes, so that one step more on each axis is a

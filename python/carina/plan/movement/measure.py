@@ -154,7 +154,8 @@ def measure_movement(
     second_volume, second_airways
         The second CT, such as one in expiration, and its airways; they are found if None.
     progress
-        False, True or ``f(what, fraction)``. True, as None, shows a bar in a terminal or a notebook.
+        False, True, None or ``f(what, fraction)``. True and None show a progress bar in a terminal or a notebook; False
+        shows none.
     cancel
         Called often; the work stops when it returns True.
 

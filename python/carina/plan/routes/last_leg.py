@@ -214,7 +214,9 @@ def with_errors(scene: NeedleScene, leg: LastLeg) -> LastLeg:
 
 
 def leg_as_aimed(scene: NeedleScene, tip_lps: Points, forward: Points, aim_lps: Points | None = None) -> LastLeg:
-    """Compute `last_leg` for a needle without errors, whose share of hits is 1.
+    """Compute the needle's path from a tip to an aim as `last_leg` does, but for a needle without errors.
+
+    Such a needle always hits, so the share of hits of the result is 1.
 
     Parameters
     ----------

@@ -638,7 +638,11 @@ class _PositionSearch:
 
     @staticmethod
     def apart_from(route: PlannedRoute, drafts: Sequence[_DraftRoute]) -> list[_DraftRoute]:
-        """Return the drafts that the scope may reach and whose places are not near the place of a route."""
+        """Return the drafts (routes without the needle's errors) that are more than `APART_MM` from a given route.
+
+        The distance is that of both scope positions along the branch. Drafts whose outlook is *does not reach* are
+        omitted.
+        """
         return [
             one
             for one in drafts

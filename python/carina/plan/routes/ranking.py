@@ -21,7 +21,7 @@ from carina.scopes import ScopePreset
 
 Outlook = Literal["reaches", "may reach", "does not reach"]
 OUTLOOKS: tuple[Outlook, ...] = ("reaches", "may reach", "does not reach")
-"""Possible outlooks of a route, the best first."""
+"""Answers to the question whether the scope reaches the target by a route (its *outlook*), the best first."""
 RANK: dict[Outlook, int] = {outlook: rank for rank, outlook in enumerate(OUTLOOKS)}
 
 DEEP_MM = 8.0

@@ -140,10 +140,10 @@ class _Shape:
 
 
 def _merged(shapes: Sequence[_Shape]) -> tuple[list[_Shape], int, float]:
-    """Merge outlines of one boundary.
+    """Replace outlines of a slice that draw the same boundary by their mean.
 
-    Return the remaining shapes, the number of merged outlines, and the largest distance in voxels between merged
-    outlines.
+    Return the remaining shapes, the number of outlines that were removed, and the largest distance in voxels between
+    an outline and the one that it was merged with (0 if none was merged).
     """
     groups: list[list[_Shape]] = []
     apart = 0.0

@@ -229,7 +229,8 @@ class FramePump:
         if order is None:
             return False
         try:
-            # Checked again: a change before `_under_way` was set could not cancel this picture.
+            # A change of the scene before `_under_way` was set could not cancel this picture, so the order is checked
+            # once more before it is rendered.
             if order.grade > MOVING and self._is_obsolete(order):
                 return True
             self._render(scene, order, stop, began_s)

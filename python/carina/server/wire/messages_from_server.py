@@ -586,7 +586,7 @@ class PictureHeader(FrozenValue, frozen=True):
     Columns and rows are corner coordinates of *this* image (the centre of a pixel is at +0.5).
     """
     lines: PictureLineRows | None
-    """Geometry of a view along the route, else null."""
+    """Positions of the rows of a curved reformation along the route; null for other views."""
     outline: PictureOutline | None
     """Outline of the current lumen in slices and in the cut-plane (in the middle plane of a thick slice), else null."""
     width: Pixels

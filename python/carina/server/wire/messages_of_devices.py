@@ -22,9 +22,12 @@ class DeviceReading(FrozenValue, frozen=True):
 
     device: DeviceName
     position_mm: Three | None
-    """Position in device space; null for a device that reports only an orientation."""
+    """Position of the pen's tip in device space, mm; null for a device that reports only an orientation."""
     orientation_wxyz: Four | None
-    """``device_from_pen``; the pen's axes are right, down, forward."""
+    """Rotation from the axes of the pen (right, down, forward) to device space, as a unit quaternion (w, x, y, z).
+
+    Null for a device without an orientation.
+    """
     buttons: Buttons
 
 

@@ -424,13 +424,15 @@ class Plans(ServerMessage, frozen=True):
     dicom_problem: Words | None = None
     """Reason why the plan cannot be exported as DICOM; null if it can."""
     pairs: tuple[RoutePair, ...] = ()
-    """Verdicts on the best routes with all instruments for the target of the chosen route, the best pair first."""
+    """Verdicts on all pairs of an instrument and one of the best routes to the chosen target, the best pair first."""
     pairs_standing: Making = "unwanted"
+    """Whether the verdicts in `pairs` are complete, are being computed, or are missing, and why."""
     available: tuple[Identifier, ...] | None = None
     """Names of the scopes that are available here; null: all of the library."""
     carm: CArmPositions | None = None
     """Positions of a C-arm for the chosen route; null while they are not known."""
     carm_standing: Making = "unwanted"
+    """Whether the positions in `carm` are complete, are being computed, or are missing, and why."""
     comparison: TargetComparison | None = None
     """Comparison of the targets; null in a case with fewer than two targets."""
     station_note: Words = ""

@@ -61,10 +61,10 @@ class BranchMeasuresSummary(FrozenValue, frozen=True):
     by_earlier_method: bool
     """Whether an earlier version measured the branch, with a method that overestimates small diameters."""
     lumen_mm: float | None
-    """Median diameter of the lumen."""
+    """Median of the diameters that were measured along the branch, mm; null if the lumen could not be measured."""
     lumen_error_mm: float | None
     min_lumen_mm: float | None
-    """Diameter at the narrowest position."""
+    """Diameter of the lumen at the branch's narrowest position, mm; null if it could not be measured."""
     min_lumen_error_mm: float | None
     min_at_mm: float | None
     """Narrowest position, in mm along the branch."""

@@ -169,7 +169,7 @@ class CaseSaver:
         self._copier: threading.Thread | None = None
 
     def start(self) -> None:
-        """Start the threads, once this case is the current case."""
+        """Start the thread that saves the case; call it when the case has become the session's current case."""
         with self._wake:
             self._plan_copy(0.0 if not self._is_named_checked else COPY_EVERY_S)
         threading.Thread(target=self._run, name="carina-saving", daemon=True).start()

@@ -147,7 +147,7 @@ def follow_up(
     scale
         Conversion from HU to the values of the volume.
     air
-        Upper limit of air, in the numbers of the volume.
+        Largest voxel value that counts as air, in the unit of the volume (HU for a CT in HU).
     start
         Voxel (i, j, k) in the air of the trachea.
     stage

@@ -143,8 +143,8 @@ def find_airways(
     notes
         Texts that are put before the notes of the search, such as the origin of ``lumen_zyx``.
     progress
-        False, True or ``f(what, fraction)``. True, as None, shows a bar in a terminal or a notebook. The fraction is
-        None where it is unknown.
+        False, True, None or ``f(what, fraction)``. True and None show a progress bar in a terminal or a notebook; False
+        shows none. The fraction is None while the progress is unknown.
     cancel
         Function that is called often; the search stops when it returns True.
 

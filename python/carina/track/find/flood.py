@@ -69,7 +69,7 @@ def flood(
     seeds
         Voxels (i, j, k) in the air of the trachea.
     end
-        Value at which the lumen ends, in the numbers of the volume.
+        Voxel value at which the lumen ends, in the unit of the volume (HU for a CT in HU).
     is_default
         Whether ``end`` is the default rather than a choice of the user. A flood that fills the lung is then repeated in
         more and more smoothed copies, because noise opens walls (docs/decisions/0113).

@@ -123,7 +123,7 @@ def follow_small_airways(
     stage
         Receives progress and cancels the search.
     air, noise
-        Value of air in the trachea and its standard deviation, in the numbers of the volume.
+        Mean and standard deviation of the voxel values of air in the trachea.
     size
         Size of the chest relative to an adult one, above 0 and at most 1
         (:func:`carina.track.find.chest_size.search_size`). Every length of the search is multiplied by ``size``, the

@@ -114,7 +114,7 @@ class SoftenedCt:
         scale
             Conversion from HU to the values of the volume.
         noise
-            Standard deviation of the air in the trachea of ``volume``, in the numbers of the volume.
+            Standard deviation of the voxel values of air in the trachea of ``volume``.
         """
         if self._values is None:
             return

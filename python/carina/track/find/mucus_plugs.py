@@ -114,7 +114,7 @@ def find_filled(
     tree, lumen_zyx
         Airways that were found in the CT.
     noise
-        Standard deviation of the values in air, in the numbers of the volume.
+        Standard deviation of the voxel values of air in the trachea.
     slice_mm
         Effective thickness of the slices of the CT, also if ``volume`` has divided slices.
     cancel

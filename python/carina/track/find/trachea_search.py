@@ -113,7 +113,7 @@ def trachea_in(
             continue
         if found is None or (
             len(other["doubts"]) < len(found["doubts"])
-            # Reject a bronchus of the same airway, which may have fewer doubts than the trachea.
+            # A candidate far below the present one is a bronchus of the same airway, also if it has fewer doubts.
             and _top_z(volume, other) >= _top_z(volume, found) - UP_FIRST_MM
         ):
             found = other

@@ -59,7 +59,8 @@ ADULT_SIZES = (0.92, 1.0)
 SIZES = (0.4, 1.2)
 # Smallest extent in mm (left-right and front-back) of a CT of a neck or a head, also of a child's.
 MIN_NECK_MM = 90.0
-# Largest distance in mm below the cords at which the cone below them begins to narrow.
+# Height in mm above the narrow part's lower end in which the true vocal cords are searched: the length of the cone
+# below them.
 CONE_MM = 9.0
 # Range of areas of sections that belong to the trachea, as shares of the median area above the carina.
 AREAS_OF_TRACHEA = (0.6, 1.6)
@@ -84,7 +85,7 @@ MIN_TIGHT_MM = 25.0
 DEEPER = 1.12
 # Largest ratio of a section's depth to the trachea's at which the trachea counts as complete again above an opening.
 COMPLETE_DEPTH = 1.3
-# Height in mm by which a tube dents the front of the trachea below and above an opening in the neck.
+# Height in mm below and above an opening in the neck in which the tube through it dents the front of the trachea.
 DENT_MM = 8.0
 # Share of the trachea's area below which the air round a tube shows that fluid surrounds the tube.
 LITTLE_AREA = 0.8

@@ -25,7 +25,7 @@ MIN_SEEN = 0.4
 """Smallest share of the sides of a bronchus on which its outer border must be visible."""
 MIN_OCTANTS = 5
 ROUND = 0.15
-"""Largest distance of a border point from the fitted circle, as a share of the radius."""
+"""Distance of a border point from the fitted circle, as a share of the radius, above which the point is an outlier."""
 CORE_MM = 0.8
 """Radius in mm of the disc over which values on an axis are averaged."""
 

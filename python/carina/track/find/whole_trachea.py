@@ -37,7 +37,7 @@ OWN_WALL_MM = 2.0
 
 @dataclass(frozen=True, slots=True)
 class DownToCarina:
-    """Air of the trachea below a given voxel."""
+    """Cross-sections of the trachea's air from a given voxel down to the carina."""
 
     sections: list[AirSection]
     """Sections of the trachea's air from the given voxel down to the last section above the carina."""

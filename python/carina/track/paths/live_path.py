@@ -46,7 +46,7 @@ class LumenPaths(Protocol):
 
     @property
     def air_scale(self) -> AirScale:
-        """Values of air and soft tissue in the numbers of the volume."""
+        """Voxel values of air and soft tissue in this volume, which need not be HU."""
         ...
 
     @property
@@ -190,7 +190,7 @@ def wall_scores(
     sigma_hu
         Standard deviation of the noise.
     scale
-        Air and soft tissue in the numbers of the volume.
+        Voxel values of air and soft tissue in this volume, which need not be HU.
     """
     points = points_lps[np.linspace(0, len(points_lps) - 1, min(len(points_lps), MAX_POINTS)).round().astype(int)]
     across_u, across_v = _perpendicular_vectors(points, path_lps)

@@ -1,4 +1,4 @@
-"""Relaxation of a path by the cost ``walls``: the shortest smooth path in the tube that the search followed."""
+"""Relaxation of a path that was found with the cost ``walls``, to a shorter and smoother path in the same vessel."""
 
 from __future__ import annotations
 

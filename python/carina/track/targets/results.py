@@ -48,7 +48,7 @@ class TargetSearch:
     With the cost ``walls`` the path is the relaxed one, unless the search was made without relaxation.
     """
     value_range: tuple[int, int]
-    """Lowest and highest value of the path's voxels, in the numbers of the volume."""
+    """Lowest and highest value of the path's voxels, in the unit of the volume (HU for a CT in HU)."""
     to_node_mm: float
     """Distance in mm from the voxel of the target to its node; above 0 if the voxel was pruned."""
     search_length_mm: float = 0.0
