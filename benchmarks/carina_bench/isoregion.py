@@ -18,8 +18,8 @@ from carina.render import CutPlaneView, Renderer, build_isoregion_map, project_m
 from carina.scopes import Pose
 from carina_bench.alternating_timer import Times, median_ratio, take_turns
 from carina_bench.cases import Case, open_case
+from carina_bench.compared_scene import TRANSFER
 from carina_bench.pictures import difference, save
-from carina_bench.scene import TRANSFER
 
 __all__ = ["maps", "planes", "prepared_maps", "projections"]
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from carina.render import TransferFunction
 from carina.scopes import Pose
 from carina.volume import Volume
-from carina_bench.scene import FOV_DEG
+from carina_bench.compared_scene import FOV_DEG
 
 __all__ = ["VtkCaster", "vtk_reslice"]
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 from typing import TYPE_CHECKING, Any, NoReturn
 
-from carina.display.printable import printable, shortened_words
+from carina.display.escaped_text import printable, shortened_words
 
 if TYPE_CHECKING:
     import numpy as np

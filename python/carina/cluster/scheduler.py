@@ -17,7 +17,7 @@ from collections.abc import Hashable
 from dataclasses import dataclass, field
 from typing import Literal
 
-from carina.cluster.lane_choice import LaneChoice
+from carina.cluster.renderer_selection import LaneChoice
 from carina.cluster.settings import ClusterSettings
 from carina.cluster.shares import Shares
 from carina.cluster.strips import cut_rows

@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 from typing import Protocol
 
-from carina.display.printable import printable
+from carina.display.escaped_text import printable
 from carina.display.terminal import as_terminal_text
 from carina.errors import CarinaError
 from carina.session import Session

@@ -11,8 +11,8 @@ use carina_leastcost::{TrackError, Watch};
 
 use crate::find::extension_levels::{EXTENDED, Followed, LUMEN};
 use crate::find::lung_sample::{LungSample, quantile};
+use crate::find::thin_paths::{Dips, Reached, Ways};
 use crate::find::thin_profile::{Place, Profile, Requirements, length_mm};
-use crate::find::thin_reach::{Dips, Reached, Ways};
 use crate::find::tube_filter::{ThinSection, TubeFilter, across, sides};
 use crate::find::tubeness::smoothed;
 

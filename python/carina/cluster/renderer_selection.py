@@ -1,4 +1,4 @@
-"""Choice of the lanes and of the number of open frames for one kind of frame, by measured times.
+"""Choice of the renderers (*lanes*: the console's connections to them) and of the number of open frames, by times.
 
 Each strip costs the console a fixed time, so that more lanes make a fast frame slower. The choice measures the time of
 a frame with the lanes in use, tries another number of lanes for a few frames, and uses the better number. The choice
@@ -15,9 +15,9 @@ from dataclasses import dataclass
 Lane = Hashable
 
 SETTLING_FRAMES = 5
-"""Number of frames after a change that are not measured, because the shares of the lanes still adapt."""
+"""Number of frames not measured after a change of the lanes, because the lanes' shares of a frame still adapt."""
 MEASURED_FRAMES = 10
-"""Number of frames whose times are compared."""
+"""Number of frames with each choice of lanes whose median times are compared."""
 GAIN_OF_MORE_LANES = 0.05
 """Part of a frame's time that more lanes must save."""
 LOSS_BY_FEWER_LANES = 0.01
