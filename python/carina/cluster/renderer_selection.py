@@ -17,7 +17,7 @@ Lane = Hashable
 SETTLING_FRAMES = 5
 """Number of frames not measured after a change of the lanes, because the lanes' shares of a frame still adapt."""
 MEASURED_FRAMES = 10
-"""Number of frames with each choice of lanes whose median times are compared."""
+"""Number of frames with each choice of lanes whose mean times are compared."""
 GAIN_OF_MORE_LANES = 0.05
 """Part of a frame's time that more lanes must save."""
 LOSS_BY_FEWER_LANES = 0.01

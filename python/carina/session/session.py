@@ -207,7 +207,7 @@ class Session:
     # ------------------------------------------------------------ undo
 
     def undo(self) -> None:
-        """Undo the last change."""
+        """Undo the case's last change that was not undone."""
         self._core.undo()
 
     def redo(self) -> None:

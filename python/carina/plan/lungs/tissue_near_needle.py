@@ -29,7 +29,7 @@ SMOOTH_MM = 0.7
 RISE_HU = 250.0
 """Rise in HU above the density of lung from which a voxel counts as tissue; a blurred vessel of 1 mm exceeds it."""
 WALL_MM = 1.5
-"""Distance in mm from a lumen within which tissue is the airway's wall."""
+"""Distance in mm from a lumen within which dense tissue counts as the airway's wall and not as a vessel."""
 LINE_WALL_MM = 1.0
 """Least distance in mm from a lumen of a line-shaped vessel; plates may be wall up to `WALL_MM`."""
 BLUR_MM = 1.5

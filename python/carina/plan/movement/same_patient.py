@@ -18,11 +18,11 @@ Mask = NDArray[np.bool_]
 MIN_RIGID, MIN_FORKS = 5, 8
 """Least number of forks that both trees name, and least number of them that follow one motion."""
 MIN_RIGID_SHARE = 0.6
-"""Least share of forks that follow one rigid motion within 15 mm."""
+"""Share of forks that follow one rigid motion within 15 mm below which the second CT may be another patient's."""
 MAX_TURN_DEG = 20.0
 """Largest rotation between both CTs in degrees; beyond it the patient is in another pose."""
 MAX_MEDIAN_MM = 5.0
-"""Largest median distance of the forks from their affine motion, mm."""
+"""Median distance in mm of the forks from their affine motion above which the second CT may be another patient's."""
 STRETCH = (0.7, 1.4)
 """Least and largest stretch of the chest from the first CT to the second."""
 MIN_INSIDE = 0.85

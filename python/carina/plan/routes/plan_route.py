@@ -117,7 +117,7 @@ class PlannedRoute:
     """Whether the scope with its margin fits through the route, may fit within the errors, or does not fit."""
     leg: LastLeg
     parts: dict[str, float]
-    """Parts of the route's score by name, each 0 (best) to 1 (`ScoreWeights`)."""
+    """Contributions to the route's score by name (see `ScoreWeights`), each 0 (best) to 1."""
     score: float
     """Score of the route, 0 to 1 (best)."""
     doubts: tuple[str, ...]
@@ -335,7 +335,7 @@ class Plan(Tabular):
 
     @property
     def moved_mm(self) -> float:
-        """Largest distance of the target from its place in the CT, mm."""
+        """Largest distance in mm of the target from its position in the CT that the plan considers."""
         return self.movement.most_mm
 
     def _columns(self) -> Columns:

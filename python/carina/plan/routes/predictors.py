@@ -48,7 +48,7 @@ class RoutePredictors:
     route passes no fork.
     """
     width: RouteWidth
-    """Least diameter of the last section, with its error and place."""
+    """Least diameter of the lumen in the route's last section, with its error and position."""
     curvature_per_mm: float | None
     """Mean curvature of the last section's axis, 1/mm: the sum of its turns divided by its length.
 

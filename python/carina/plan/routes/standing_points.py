@@ -25,10 +25,10 @@ Points = NDArray[np.float64]
 BronchusSign = Literal["into", "beside", "none"]
 
 PLACES_MM = 0.7
-"""Least distance in mm between two evaluated scope positions on one branch."""
+"""Distance in mm between two scope positions on one branch that are evaluated in the first pass."""
 ON_BRANCH_MM = 0.001
 FINE_MM = 0.175
-"""Distance in mm between the additional scope positions round the best ones."""
+"""Distance in mm between the additional scope positions that a second pass evaluates round the best ones."""
 LOWER_LOBES = {"RUL": "RLL", "RML": "RLL", "LUL": "LLL", "LML": "LLL"}
 """Lower lobe of the same lung for each other lobe; a mirrored chest has LML."""
 EITHER_LOBE_MM = 5.0
@@ -53,7 +53,7 @@ class NearestPlace:
     branch_name: str
     place_lps: tuple[float, float, float]
     along_mm: float
-    """Distance of the place from the root along the airways, mm."""
+    """Distance of the scope position from the root along the airways, mm."""
     width_mm: float
     """Diameter of the largest ball that fits in the airway at the place, mm."""
     gap_mm: float
@@ -62,7 +62,7 @@ class NearestPlace:
     """Distance of the place from the main carina, mm; None if the route to the place passes no main carina."""
 
     def to_json(self) -> dict[str, Any]:
-        """Return the place as plain JSON types."""
+        """Return the scope position as plain JSON types."""
         return {
             "branch_id": self.branch_id,
             "branch_name": self.branch_name,

@@ -26,7 +26,7 @@ from carina.track import Airways
 from carina.volume import Volume
 
 MAX_FRAMES = 24
-"""Largest number of frames of a clip."""
+"""Largest number of frames of a clip; a request for more is refused."""
 SIZES_PX = (64, 512)
 LONGEST_S = 4.0
 """Longest duration of a clip in s; a longer flight is shown faster."""
@@ -37,7 +37,7 @@ QUALITY = 70
 @one_line
 @dataclass(frozen=True, slots=True, eq=False)
 class TurnClip:
-    """Clip of the flight along one stretch of a route."""
+    """Clip of a simulated flight along the part of a route that ends in front of one turn."""
 
     turn: Turn
     operator: Operator

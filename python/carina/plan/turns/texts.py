@@ -1,4 +1,4 @@
-"""Text of a turn: hours, places and moves of the hand."""
+"""Text of a turn: clock hours, distances and moves of the hand."""
 
 from __future__ import annotations
 

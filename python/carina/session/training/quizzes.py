@@ -36,7 +36,7 @@ class _Quiz:
     questions: tuple[QuizQuestion, ...]
     answers: list[str] = field(default_factory=list)
     at: int = 0
-    """Index of the present question."""
+    """Index in ``questions`` of the question that the window shows."""
     sight: Sight = field(default_factory=Sight)
     """Sight before the quiz, whose crosshair and zoom are restored."""
 

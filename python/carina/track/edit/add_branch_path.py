@@ -116,7 +116,7 @@ class PlannedWay:
 
     @property
     def doubtful_mm(self) -> float:
-        """Length of the doubtful segments of the path, mm."""
+        """Length of those segments of the path whose wall is doubtful, mm."""
         return float(np.linalg.norm(np.diff(self.points, axis=0), axis=1)[self.doubtful].sum())
 
 

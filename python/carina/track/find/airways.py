@@ -57,9 +57,9 @@ __all__ = ["Airways", "doubt_of_totals", "find_airways"]
 # Upper limits of the length in mm, the number of branches and the generations of a tree; CTs show 1 to 4 m of airways
 # in 100 to 600 branches.
 MAX_LENGTH_MM = 12_000.0
-# Largest number of branches of a plausible tree.
+# Number of branches above which a tree is rejected as a leak into the lung.
 MAX_BRANCHES = 2_500
-# Largest generation of a plausible tree.
+# Generation above which a tree is rejected as a leak into the lung.
 MAX_GENERATION = 40
 # Least total length in mm of the airways beyond a trachea that divides: main bronchi and lobar bronchi are longer.
 MIN_BEYOND_MM = 150.0

@@ -26,7 +26,7 @@ CLOSED_RADIUS_MM = 10.0
 # Volume in mm3 of a lumen above which, together with its share of lung and lumen, the lumen contains lung; trachea and
 # bronchi have 40 to 100 ml.
 MAX_LUMEN_MM3 = 150_000.0
-# Largest share of the lung that a lumen without leaks can fill.
+# Share of the lung above which a flooded lumen counts as a leak.
 MAX_LUNG_SHARE = 0.1
 # Sigmas in mm of the smoothed copies in which a flood that leaked is repeated.
 SMOOTHED_MM = (0.7, 1.0, 1.5)

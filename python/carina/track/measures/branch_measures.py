@@ -110,7 +110,7 @@ class BranchMeasures(Tabular):
 
     branch_id: int
     at_mm: Floats
-    """Distance (n,) of each section along the branch, mm."""
+    """Distance (n,) of each section from the start of the branch, mm."""
     centre_lps: Floats
     """Centre (n, 3) of the measured lumen in each section, LPS in mm."""
     normal_lps: Floats
@@ -120,9 +120,9 @@ class BranchMeasures(Tabular):
     equivalent_mm: Floats
     """Diameter (n,) of the circle with the area of the lumen in each section, mm."""
     min_mm: Floats
-    """Least width (n,) of the lumen through the centre of each section, mm."""
+    """Least width (n,) of the lumen in each section, measured through its centre, mm; NaN if it was not measured."""
     max_mm: Floats
-    """Greatest width (n,) of the lumen through the centre of each section, mm."""
+    """Greatest width (n,) of the lumen in each section, measured through its centre, mm; NaN if it was not measured."""
     wall_mm: Floats
     """Thickness (n,) of the wall in mm, where neither a vessel nor the mediastinum touches its outer side."""
     at_junction: NDArray[np.bool_]

@@ -85,7 +85,7 @@ class LivePath:
     snapped_mm: float
     """Distance in mm of the given point from the lumen; 0 inside the lumen."""
     new_mm: float
-    """Length in mm of the path outside the current tree."""
+    """Length in mm of that part of the path that is not yet in the tree."""
     joins_branch_id: int | None
     """Branch of the current tree from which the new part starts; None without a tree."""
     problem: str | None

@@ -130,7 +130,7 @@ class FieldPaths:
 
     @property
     def quantum(self) -> float:
-        """Smallest unit of the costs: costs are whole multiples of it."""
+        """Unit of the integer path costs; every cost is a whole multiple of it."""
         return self._core.quantum
 
     @property
