@@ -24,7 +24,7 @@ const MAX_RUNS: usize = 4;
 /// Settings for the construction of a map; they change the speed but not the map.
 #[derive(Clone, Copy)]
 pub struct MapBuilder<'a> {
-    /// Instruction set of the kernels.
+    /// Instruction set of the processor with which the map is computed.
     pub simd: InstructionSet,
     /// Number of slabs of slices, rounded up to a power of two; each slab has its own thread.
     pub num_slabs: usize,

@@ -39,7 +39,7 @@ impl SampleBricks {
         self.store.shape == shape_ijk
     }
 
-    /// Return the number of stored bricks.
+    /// Return the number of bricks that are in the cache.
     #[must_use]
     pub fn len(&self) -> usize {
         self.store.len()

@@ -115,7 +115,7 @@ impl Scene<'_> {
         let mut packet = band.search;
         let mut pace = Pace::of(l, &packet.delta);
         let mut active = packet.occupied;
-        // Mask of the lanes whose next sample may be visible.
+        // Mask of the lanes whose next sample may have opacity.
         let mut visible = 0;
         loop {
             // Rays are exchanged many at a time, because an exchange costs about as much as a look-up
@@ -278,7 +278,7 @@ impl Scene<'_> {
         let mut active = packet.occupied;
         // Number of the next sample in the active lanes; the counter advances in the other lanes, too.
         let mut k = packet.k;
-        // Mask of the lanes whose last sample was clear.
+        // Mask of the lanes whose last sample had no opacity.
         let mut clear = 0;
         loop {
             if S::N - active.count_ones() as usize >= S::N / 4 {
