@@ -14,18 +14,18 @@ pub(crate) struct Layout {
     by_slice: Divisor,
     /// Index in the volume's arrays of the first voxel of the search box.
     first: usize,
-    /// Distance between successive rows of the volume's arrays.
+    /// Difference between the indices of successive rows in the volume's arrays.
     volume_row: usize,
-    /// Distance between successive slices of the volume's arrays.
+    /// Difference between the indices of successive slices in the volume's arrays.
     volume_slice: usize,
     pub(crate) num_values: usize,
     /// Difference between the node number of each of the 27 cells and that of the voxel.
     pub(crate) node_step: [isize; 27],
     /// Difference between the index of each of the 27 cells and that of the voxel, in the volume's arrays.
     pub(crate) value_step: [isize; 27],
-    /// Number of bits of a row of the search box including its rim.
+    /// Number of bits for a row of the search box with one more voxel at each end.
     bits_of_row: usize,
-    /// Number of rows of a slice of the search box including its rim.
+    /// Number of rows for a slice of the search box with one more row at each end.
     rows_of_slice: usize,
 }
 
