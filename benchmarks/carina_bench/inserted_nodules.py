@@ -32,7 +32,7 @@ Floats = NDArray[np.float64]
 
 KINDS: tuple[NoduleKind, ...] = ("solid", "solid", "part-solid", "ground-glass")
 DIAMETERS_MM = (18.0, 26.0)
-"""Range of the diameters; a smaller core has no interior for the noise."""
+"""Range in mm of the diameters of inserted nodules; in a smaller core no noise can be measured."""
 INSIDE_MM, MOST_SPREAD_HU = 6.5, 80.0
 """Depth in mm of the block of voxels for the noise, and largest range in HU of its smoothed values."""
 SAME_TILT = 0.15
@@ -41,11 +41,11 @@ SAME_TILT = 0.15
 Edges across thick slices are wider than edges in them.
 """
 SITES = 8
-"""Number of places on a boundary whose features are averaged."""
+"""Number of positions on the boundary of a nodule whose edge features are averaged."""
 AROUND_MM = 45.0
 """Half side of the part of a CT in which real boundaries are searched."""
 STEP_MM, REACH_MM = 0.25, 4.5
-"""Step and half length of the profile across an edge."""
+"""Step and half length in mm of the profile of CT values across a nodule's edge."""
 TISSUE_HU, LUNG_HU = (-60.0, 140.0), -600.0
 FEATURES = ("slope", "width", "overshoot", "noise in the slice", "noise across slices", "grain")
 LIMIT_MATCHED = 0.65

@@ -29,7 +29,7 @@ WINDOW_HU = (1500.0, -600.0)
 CLEAR_BELOW_HU = -700
 """CT value in HU below which a voxel counts as clear air."""
 BIN_HU = 16
-"""Width of a bin of CT values, HU."""
+"""Width in HU of the bins of CT values whose regions of equal bins are leaped over."""
 
 
 def _case(name: str) -> Case:

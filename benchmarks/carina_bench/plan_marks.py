@@ -32,9 +32,9 @@ RING = 0.8
 MIN_ARROW, MAX_ARROW = 0.03, 0.11
 """Least and largest width of the arrow on that circle, as a share of half the picture."""
 MIN_AREA = 1e-3
-"""Least share of the picture that an outline encloses."""
+"""Share of the picture below which an area that marks enclose is not an outlined ostium."""
 AGREE_HOURS = 0.25
-"""Largest difference of arrow and opening in hours."""
+"""Difference in hours up to which arrow and outlined ostium agree."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -33,7 +33,7 @@ STEP_MM, MARGIN_MM, OUTSIDE_MM = 0.2, 10.0, -6.0
 BALL_MARGIN_MM = 3.0
 """Distance in mm from the true wall up to which the distance to the wall is sampled outside the lumen."""
 NUM_SEARCHES, EFFORT = 3, 20_000.0
-"""Number of searches with different seeds, and the effort of each."""
+"""Number of searches for a drive in the true airways, with different seeds, and the effort of each."""
 MIN_HITS, NUM_NEEDLES, EDGE_MM = 0.5, 400, 0.05
 """Least share of needles that hit, number of simulated needles, and spacing of the tested points of a needle, mm."""
 LACK_MM = math.sqrt(2.0) * STEP_MM

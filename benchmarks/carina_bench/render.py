@@ -29,7 +29,7 @@ __all__ = ["first_frame", "frames", "small_frames"]
 
 Request = dict[str, Any]
 SIZE = 512
-"""Width and height of a picture, pixels."""
+"""Width and height in pixels of the pictures that are timed."""
 METHODS: tuple[Literal["brute"], Literal["leap"]] = ("brute", "leap")
 """Methods of casting rays that are compared."""
 BASELINE_REPEATS = 3

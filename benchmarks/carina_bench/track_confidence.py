@@ -37,11 +37,11 @@ Judged = tuple[float, bool, str]
 FIRST_SEED = {"fit": 101, "held": 201}
 """First seed of the phantoms for the fit, and of those held out for the judgement."""
 NUM_GOOD, NUM_POOR, NUM_TREES = 8, 14, 24
-"""Number of good CTs, of poor CTs and of trees for the names."""
+"""Number of good CTs, of poor CTs, and of trees for the names, from which the confidence is fitted."""
 QUICK_CTS, QUICK_TREES = 1, 6
 """Number of good and of poor CTs, and of trees, in a quick run."""
 NUM_BINS = 10
-"""Number of bins of confidence from which the calibration error is computed."""
+"""Number of equal bins of confidence over which the calibration error is averaged."""
 MAX_ERROR, SURE, SURE_SHARE = 0.05, 0.9, 0.7
 """Largest calibration error; confidence that counts as sure; least share of right names that are sure."""
 EDGES = (0.0, 0.5, 0.75, 0.85, 0.9, 0.925, 0.95, 0.97, 0.98, 0.99, 0.995, 0.999, 1.001)
