@@ -59,7 +59,7 @@ def calibration_error(shares: Shares, hits: Shares) -> float:
 
 
 def run(quick: bool, say: Say) -> list[Row]:
-    """Return the rows of phantoms with held-out seeds (see ``carina_bench.track``)."""
+    """Return the report's rows for the confidence in phantoms with held-out seeds (see ``carina_bench.track``)."""
     airways, names = [], []
     num_good, num_poor, num_trees = (QUICK_CTS, QUICK_CTS, QUICK_TREES) if quick else (NUM_GOOD, NUM_POOR, NUM_TREES)
     for case, tree, true in _found_trees("held", num_good, num_poor, say):
@@ -169,7 +169,7 @@ def _judged_readings(tree: AirwayTree, truth: AirwayTree) -> tuple[float | None,
     return fit, judged
 
 
-# Fit of the confidence maps:
+# Functions that fit the maps from evidence to confidence:
 
 
 def fitted_airways(scores: Shares, hits: Shares) -> list[tuple[float, float]]:

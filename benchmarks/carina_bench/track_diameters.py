@@ -42,9 +42,9 @@ QUICK_SEEDS = range(101, 102)
 PATIENTS = ("Patient1", "Patient2", "lobes-Patient1", "lobes-Patient2")
 """Names of the patients whose painted CTs are compared."""
 SIZES_MM = (0.0, 1.6, 2.0, 2.5, 3.0, 4.0, 6.0, 10.0, 30.0)
-"""Limits of the classes of true diameter in the report, mm."""
+"""Borders in mm of the classes of true diameter in the report."""
 SIZES_VOX = (0.0, 3.0, 4.0, 6.0, 10.0, 99.0)
-"""Limits of the classes of true diameter, voxels."""
+"""Borders in voxels of the classes of true diameter in the report."""
 MIN_IN_CLASS = 8
 """Number of branches or routes below which the report omits a class."""
 MIN_SECTIONS = 3

@@ -54,11 +54,11 @@ QUICK_MM = (25.0, 25.0)
 QUICK = ("medium", "0.7mm")
 """Kernel and slices of a quick run."""
 BESIDE_MM = 8.0
-"""Margin around the lungs that is painted, mm."""
+"""Margin in mm around the lungs that a painted CT contains."""
 HU_STEPS = 16.0
 """Number of steps per HU of stored values, which are multiples of 1/16 HU."""
 MIN_BRONCHUS_MM2 = 25.0
-"""Least area of a main bronchus in a slice, mm2."""
+"""Area in mm2 of a piece of lumen in a slice from which the piece counts as a main bronchus."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

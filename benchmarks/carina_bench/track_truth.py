@@ -27,7 +27,7 @@ class TrueBranch:
     """True centreline between two forks, or between a fork and a tip."""
 
     points: Points
-    """Points (n, 3), LPS mm, at most 0.25 mm apart."""
+    """Points (n, 3) of the branch's centreline, LPS mm, at most 0.25 mm apart."""
     radius_mm: NDArray[np.float64]
     """Radius (n,) of the true lumen at each point, mm."""
     generation: int
@@ -42,7 +42,7 @@ class Truth:
     lumen_zyx: NDArray[np.bool_]
     branches: tuple[TrueBranch, ...]
     knows_radius: bool
-    """Whether the radii are exact; otherwise they are measured in a mask."""
+    """Whether the radii are exact, as in a painted CT; otherwise they were measured in a mask."""
     touched_zyx: NDArray[np.bool_] | None = None
     """Voxels (nz, ny, nx) that contain any lumen; None if unknown. A found voxel among them is not false."""
 

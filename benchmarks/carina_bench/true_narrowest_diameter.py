@@ -34,7 +34,7 @@ AROUND_MM = 12.0
 CONTAINS = 0.9
 """Share of a tube's radius; a point nearer to the tube's axis than this share counts as inside the tube."""
 PART = 2000
-"""Number of points that are processed in one step, which limits the memory."""
+"""Number of points whose distances are computed in one step; it limits the memory."""
 
 
 def lumen_wall(branches: Sequence[TrueBranch]) -> Floats:

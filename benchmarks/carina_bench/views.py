@@ -25,7 +25,7 @@ __all__ = ["never_slower"]
 PAIRS = 30
 """Number of pairs of pictures (leaping, brute force) that are measured of each view."""
 SIZE = 256
-"""Width and height of a picture, pixels."""
+"""Width and height in pixels of the pictures in which leaping is compared with brute force."""
 
 
 def _noisy(volume: Volume) -> Volume:

@@ -114,7 +114,7 @@ class VtkCaster:
         self._keep = (image, moved, scalars)
 
     def look(self, pose: Pose) -> None:
-        """Set the camera and render one picture, which is not measured."""
+        """Set the camera and render one picture that is not measured, so that the next one is not the first."""
         grid_from_camera = self._grid_from_lps @ pose.lps_from_camera
         position, forward, down = (grid_from_camera[:3, column] for column in (3, 2, 1))
         camera = self._renderer.GetActiveCamera()

@@ -21,7 +21,7 @@ struct End {
 /// Radius in mm below which vessels are not drawn, because they are part of the lung's texture.
 const THINNEST_MM: f64 = 0.5;
 
-/// Return the pieces of all vessels of the lungs.
+/// Return the pieces (straight tubes) of all vessels of the lungs.
 pub(crate) fn vessels(seed: u64, tree: &AirwayTree) -> Vec<Piece> {
     let mut pieces = Vec::new();
     let mut ends = arteries(tree, &mut pieces);

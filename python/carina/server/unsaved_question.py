@@ -26,10 +26,10 @@ class Terminal(Protocol):
 
     @property
     def is_interactive(self) -> bool:
-        """Whether a user can answer."""
+        """Whether a user is at the terminal who can answer the question."""
 
     def say(self, text: str) -> None:
-        """Print a line."""
+        """Print a line for the user."""
 
     def ask(self, prompt: str) -> str | None:
         """Print a prompt, and return the line that the user types; None at the end of the input."""

@@ -199,7 +199,7 @@ export interface TurnBranch {
 /** The openings of a turn in the list of turns. */
 export interface TurnBranches {
   ways: readonly TurnBranch[];
-  /** Whether the hour of the first opening is not reliable. */
+  /** Whether the clock hour of the first opening is not reliable. */
   doubtful: boolean;
   /** Whether the camera is at the viewpoint of the turn, where the listed directions are valid. */
   atViewpoint: boolean;

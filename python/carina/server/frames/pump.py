@@ -188,7 +188,7 @@ class FramePump:
             return self._scheduler.should_cancel(order, _content_keys(scene, self._scheduler), now_s)
 
     def stop(self) -> None:
-        """End :meth:`run` after the picture in progress."""
+        """End :meth:`run` when the picture in progress is rendered."""
         self._stopped = True
         self._woken.set()
 

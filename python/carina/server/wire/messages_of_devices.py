@@ -123,7 +123,7 @@ class DeviceSource(FrozenValue, frozen=True):
     words: Words
     """Description of the state for the user."""
     rate_hz: float
-    """Samples per second."""
+    """Number of samples of the device per second."""
     num_bad: Count
     """Number of malformed messages from the device."""
 
@@ -176,7 +176,7 @@ class StartMarkedMessage(ServerMessage, frozen=True):
     """Report that the pen's button marked the start of a path that needs no airways (``arm_pen``, ``add_target``)."""
 
     lps: Three
-    """Marked point, LPS mm."""
+    """Point that the pen's button marked, LPS mm."""
 
 
 class Pen(ServerMessage, frozen=True):
