@@ -162,7 +162,7 @@ class AxisPermutation:
 
     @property
     def is_identity(self) -> bool:
-        """Whether both grids have the same axes."""
+        """Whether the axes of the case and of the volume have the same order and direction."""
         return self.axes == (0, 1, 2) and not any(self.flipped)
 
     def array_in_volume_axes(self, array_zyx: NDArray[V]) -> NDArray[V]:

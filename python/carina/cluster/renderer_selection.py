@@ -19,7 +19,7 @@ SETTLING_FRAMES = 5
 MEASURED_FRAMES = 10
 """Number of frames with each choice of lanes whose mean times are compared."""
 GAIN_OF_MORE_LANES = 0.05
-"""Part of a frame's time that more lanes must save."""
+"""Share of a frame's time that a larger number of lanes must save to be used."""
 LOSS_BY_FEWER_LANES = 0.01
 """Part of a frame's time that fewer lanes may cost; the difference to :data:`GAIN_OF_MORE_LANES` is the hysteresis."""
 LOSS_BY_FEWER_FRAMES = 0.05
@@ -48,7 +48,7 @@ CHANGED_WORK = 1.5
 
 @dataclass(frozen=True, slots=True)
 class LanePlan:
-    """Number of lanes and of open frames."""
+    """Number of lanes that render a frame, and of frames that are open at once."""
 
     num_lanes: int
     open_frames: int
@@ -91,7 +91,7 @@ class LaneChoice:
         self._slow = False
         self._rejected: dict[LanePlan, _Rejection] = {}
         self._since_s = -math.inf
-        """Time since which the plan, except for trials, is used."""
+        """Time since which the present plan is used, trials of other plans not counted."""
         self._is_doubtful = False
         """Whether the trial has fewer lanes than are busy on average."""
 
@@ -110,7 +110,7 @@ class LaneChoice:
 
     @property
     def is_trial(self) -> bool:
-        """Whether the present plan is a trial."""
+        """Whether the present plan is tried for a few frames only."""
         return self._before is not None
 
     def choose(self, able: Sequence[Lane], seconds: Mapping[Lane, float], now_s: float) -> tuple[Lane, ...]:

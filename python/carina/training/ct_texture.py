@@ -22,7 +22,7 @@ Floats = NDArray[np.float64]
 LUNG_HU, TISSUE_HU = (-1000.0, -650.0), (-120.0, 160.0)
 """Ranges in HU of the two sides of an edge."""
 SIDE_MM = 2.4
-"""Distance in mm from an edge over which both sides must be homogeneous."""
+"""Distance in mm on both sides of an edge in which the CT must be homogeneous for the edge to be measured."""
 SIDE_SPREAD_HU = 90.0
 """Largest standard deviation in HU of one side of an edge, above that of the noise."""
 MAX_SLOPE_ACROSS = 0.3
@@ -40,9 +40,9 @@ SURROUND_MM = 0.65
 PATCH = 12
 """Side in pixels of a patch on which the noise is measured."""
 FLAT_HU = (-30.0, 140.0)
-"""Range in HU of smoothed values in a patch of soft tissue."""
+"""Range in HU of the smoothed values of a patch of soft tissue whose noise is measured."""
 FLAT_SPREAD_HU = 60.0
-"""Largest range in HU of smoothed values in a patch."""
+"""Largest range in HU of the smoothed values within a patch whose noise is measured."""
 LEAST_PATCHES = 8
 MAX_PATCHES = 400
 _ERF = np.vectorize(math.erf, otypes=[np.float64])

@@ -28,7 +28,7 @@ VARIANCE_FRAMES = 11
 @one_line
 @dataclass(frozen=True, slots=True)
 class BranchStay:
-    """Time in a branch in both flights."""
+    """Time that each of both flights spends in a branch."""
 
     name: str
     own_s: float
@@ -50,12 +50,12 @@ class FlightComparison:
     deviation_mm: float | None
     """Mean distance of the tip from the expert's tip at the same place, mm; None without such places."""
     deviation_variance_mm2: float | None
-    """Mean variance of this distance within one second, mm²."""
+    """Mean variance of the distance between both tips within one second, mm²."""
     worst_mm: float | None
-    """Largest distance, mm."""
+    """Largest distance between both tips, mm."""
     worst_branch: str | None
     worst_s: float | None
-    """Time of the largest distance from the start of the flight, s."""
+    """Time in s of the largest distance between both tips, from the start of the flight."""
     num_contacts: int
     expert_contacts: int
     touched_only_own: tuple[str, ...]

@@ -60,7 +60,7 @@ class ScoredContact:
     branch: str
     """Name of the branch in which the tip was."""
     place_lps: tuple[float, float, float]
-    """Position of the tip, LPS mm."""
+    """Position of the tip at the contact, LPS mm."""
     clock_hour: float
     """Clock hour of the touched wall in the picture."""
 
@@ -113,7 +113,7 @@ class Score:
 
     @property
     def num_case_segments(self) -> int:
-        """Number of segments that the case has."""
+        """Number of the published segments that the tree of the case contains."""
         return len(self.case_segments)
 
     def to_json(self) -> dict[str, Any]:

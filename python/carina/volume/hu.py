@@ -37,7 +37,7 @@ _STRETCHED_TOP = 4095  # 12 bits, as CT and MR scanners use
 
 @dataclass(frozen=True, slots=True)
 class HuVerdict:
-    """Whether values are HU, and if not, the reason for messages."""
+    """Whether the values of a volume are HU, and the reason for messages if they are not."""
 
     is_hu: bool
     reason: str | None
@@ -45,7 +45,7 @@ class HuVerdict:
 
 @dataclass(frozen=True, slots=True)
 class Int16Values:
-    """Values converted to int16, with notes on the conversion."""
+    """Values of a volume converted to int16, with notes on the conversion."""
 
     values: NDArray[np.int16]
     stretched: str | None
