@@ -41,7 +41,7 @@ class Bar(Protocol):
         """Show the text and the fraction done, 0 to 1; None if the fraction is unknown."""
 
     def close(self) -> None:
-        """Remove the bar."""
+        """Remove the progress bar from the terminal or the notebook."""
 
 
 class TerminalBar:
@@ -63,7 +63,7 @@ class TerminalBar:
         self._shown.update(self._task, description=text, completed=fraction or 0.0, refresh=True)
 
     def close(self) -> None:
-        """Remove the bar."""
+        """Remove the progress bar from the terminal."""
         self._shown.stop()
 
 
@@ -84,7 +84,7 @@ class NotebookBar:
         self._handle.update(self._html(f'<progress max="1"{value}></progress> <small>{escaped(text)}</small>'))
 
     def close(self) -> None:
-        """Remove the bar."""
+        """Remove the progress bar from the notebook."""
         self._handle.update(self._html(""))
 
 

@@ -34,7 +34,7 @@ class Film:
     """Video file that `write_film` has written."""
 
     name: str
-    """Name of the file, without its folder."""
+    """Name of the video file, without its folder."""
     num_frames: int
     rate_hz: float
     size_px: tuple[int, int]

@@ -30,7 +30,7 @@ Points = NDArray[np.float64]
 WALL_MM = (0.6, 2.2)
 """Range of the thickness in mm; beyond it the distance to the lumen is not stored."""
 SAMPLE_MM = 0.4
-"""Distance in mm of the samples of the solid."""
+"""Distance in mm between the samples from which the surface of the printed solid is computed."""
 BLOCK = 8
 """Number of samples along the side of a block; only blocks near the wall are computed."""
 BLOCKS_AT_ONCE, GROUP = 256, 128
@@ -42,7 +42,7 @@ LEAST_WALL_MM = 1.0
 CUT_MM = 2.0
 """Length in mm of the end of the trachea, or of a tip, that is cut off."""
 DOT_MM, DOT_PITCH_MM = 0.55, 0.75
-"""Radius of the dots of names, and their distance, mm."""
+"""Radius of the embossed dots of names, and distance between them, mm."""
 NARROW_MM = 2.0
 """Diameter of a lumen in mm below which a print may be blocked; such branches are counted."""
 
@@ -59,9 +59,9 @@ class PrintablePhantom:
     """
     wall_mm: float
     size_mm: tuple[float, float, float]
-    """Extent along LPS x, y and z, mm."""
+    """Extent of the printed solid along LPS x, y and z, mm."""
     names: tuple[str, ...]
-    """Embossed names."""
+    """Names of branches that are embossed on the solid."""
     names_left_out: tuple[str, ...]
     """Names of branches that are too short or too thin for their name."""
     num_open_tips: int

@@ -1,4 +1,4 @@
-"""Choices of the fastest way to cast over equal values: leaps or brute force, and leaps with or without prefetching."""
+"""Choice of the faster method in paper mode: leaps or brute force, and leaps with or without prefetching."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ MORE_ROUNDS = 5
 CLOSE_RATIO = 1.25
 """Ratio of the costs of both methods below which the strips are timed in further rounds."""
 MIN_GAIN = 0.02
-"""Share of the cost of brute force that leaps must save; a smaller gain is within the error of a measurement."""
+"""Share of brute force's time that leaps must save to be chosen; a smaller gain is within the measurement's error."""
 MAX_VIEWS = 64
 """Number of views whose faster method is stored; a further view removes the oldest one."""
 PREFETCH_TRIALS = 4
@@ -65,7 +65,7 @@ class LeapChoice:
     def leaps(
         self, scene: tuple[ValueMaps, TransferFunction], view: AirwayView, cost_of: CostOf, *, diagonal_mm: float
     ) -> bool | None:
-        """Return whether leaps are faster in a view; None if the picture is too small for a measurement."""
+        """Return whether leaps are faster than brute force in a view; None if the picture is too small to measure."""
         if view.width * view.height < MIN_PIXELS or view.height < STRIPS * STRIP_ROWS:
             return None
         key = repr((view.width, view.height, view.fov_deg, view.lens)).encode() + view.pose.lps_from_camera.tobytes()

@@ -222,12 +222,12 @@ class Optics:
 
     @property
     def limit_deg(self) -> float:
-        """Largest angle from the axis that the picture can show, degrees."""
+        """Largest angle in degrees between a ray of the picture and the lens axis."""
         return math.degrees(self._core.limit_rad)
 
     @property
     def limit_rad(self) -> float:
-        """Largest angle from the axis that the picture can show, radians."""
+        """Largest angle in radians between a ray of the picture and the lens axis."""
         return self._core.limit_rad
 
     @property

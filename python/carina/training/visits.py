@@ -28,7 +28,7 @@ MIDDLE = 0.5
 @one_line
 @dataclass(frozen=True, slots=True)
 class Visit:
-    """Visit of a place: frame at which the visit counts, and index of the place."""
+    """Visit of a segment or another listed branch (a *place*): frame at which the visit counts, and its index."""
 
     frame: int
     place: int

@@ -99,9 +99,9 @@ class MovementMeasurement:
     forks: tuple[ForkShift, ...]
     """Forks that both trees name."""
     num_vessels: int
-    """Number of places at vessels near the target that were found in the second CT."""
+    """Number of vessel points near the target that were found in the second CT."""
     residual_mm: float
-    """Median distance of places near the target from the prediction by their neighbours, mm."""
+    """Median distance in mm between found points near the target and their prediction by neighbouring points."""
     breath_mm: float
     """Distance in mm from one rigid motion within which 90 % of the points are; small if both CTs show one breath."""
     rotation_deg: float
@@ -329,7 +329,7 @@ def _matched(
 
 
 def _consistent(places: Points, shifts: Points, score: Points, motion: Affine) -> Deformation:
-    """Return the deformation of the found places that agree with their neighbours."""
+    """Return the deformation computed from those found points that agree with their neighbours."""
     found = score >= MIN_SCORE
     for most_mm in (2.0 * MAX_RESIDUAL_MM, MAX_RESIDUAL_MM):
         field = Deformation(places[found], shifts[found], motion)

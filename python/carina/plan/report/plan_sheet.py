@@ -144,7 +144,7 @@ class PlanSheet:
     turn_pictures: tuple[TurnPicture, ...] = field(repr=False)
     """Picture of each turn of the route; empty if no pictures were made."""
     turn_clips: tuple[TurnClip | None, ...] = field(repr=False)
-    """Clip of the flight to each turn, or empty; None for a stretch without length."""
+    """Clip of the flight to each turn, or empty; None for a turn at the place of the turn before it."""
     forks: tuple[Fork, ...]
     operator: Operator
     place: TargetPlace

@@ -140,7 +140,7 @@ class PlannedRoute:
     hold: ScopeHold | None = None
     """Insertion, roll and lever with which the drive points at the target; None without a drive that arrives."""
     withdrawn_mm: float = 0.0
-    """Distance in mm by which the drive withdraws the tip from the stated place to aim at the target; 0 without."""
+    """Distance in mm by which the drive withdraws the tip from the route's end to aim at the target."""
     predictors: RoutePredictors | None = None
     """Published predictors of a failed navigation; None for a route that was not made by `plan_route`."""
     openings: dict[int, RouteOpening] = field(default_factory=dict)
@@ -402,9 +402,12 @@ class DraftPlan:
     judge: Judge
     wall: WallField
     scene: NeedleScene | None
-    """Target, tissues and needle; None if no place is near enough to the target."""
+    """Target, tissues and needle; None if no position of the scope is near enough to the target."""
     spares: tuple[PlannedRoute, ...]
-    """Second-best places of branches of the plan's routes, which are driven if the drive to the best one fails."""
+    """Routes to second-best scope positions in the branches of the plan's routes.
+
+    They are driven if the drive to the best position of the branch fails.
+    """
 
     def leg_of(self, tip_lps: Points, forward: Points, needle: Points, aim: Points) -> LastLeg:
         """Return the needle path from a tip in a direction, with the needle's errors and the target's movement.
@@ -687,7 +690,7 @@ def _aims(nodule: Nodule, aims: ArrayLike | None) -> Points:
 
 
 def _route(places: Places, n: int, aim: int, leg: LastLeg, *, asked: Demands, judge: Judge) -> PlannedRoute:
-    """Return a route to a place with its last leg and its score."""
+    """Return the route to a scope position, with the needle's path from there and the route's score."""
     branch = places.of_branch(n)
     parts = judge.parts(leg, asked.width.mm, places.nodule)
     outlook, chance, limits = judge.outlook(asked, leg)

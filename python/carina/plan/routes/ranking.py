@@ -79,7 +79,7 @@ class ScoreWeights:
 
 @dataclass(frozen=True, slots=True)
 class WorstValue:
-    """Worst value of a measure along a path from the root, and the place of this value."""
+    """Worst value of a measure along a path from the root, and the position of this value on the path."""
 
     value: float
     at_mm: float

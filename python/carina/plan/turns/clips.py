@@ -76,7 +76,7 @@ def turn_clips(
     progress: ProgressChoice = None,
     cancel: Callable[[], bool] | None = None,
 ) -> tuple[TurnClip | None, ...]:
-    """Render a clip of each stretch of a route.
+    """Render a clip of the flight to each turn of a route.
 
     Parameters
     ----------
@@ -101,7 +101,7 @@ def turn_clips(
     Returns
     -------
     tuple
-        Clips in the order of the turns; None for a stretch without length, as between two forks at one place.
+        Clips in the order of the turns; None for a turn at the place of the turn before it, to which nothing is flown.
 
     Raises
     ------
@@ -126,7 +126,7 @@ def turn_clips(
     report = progress_function(progress)
     made: list[TurnClip | None] = []
     for index, turn in enumerate(turns.turns):
-        # raises if the turn has no camera position; the except clause handles only stretches without length
+        # raises if the turn has no camera position; the except clause handles only flights without length
         turn.camera(operator)
         try:
             times, poses = turn_flight(airways.tree, planned, turns, index, operator=operator)
