@@ -119,11 +119,11 @@ FONT = """() => {
     context.font = `100px ${getComputedStyle(document.body).fontFamily}`;
     return Math.round(context.measureText('Left lower lobe 0123456789').width);
 }"""
-"""Script that returns the width of a sample text, which depends on the fonts of the machine."""
+"""JavaScript that returns the width of a sample text; pictures made with other fonts on another machine differ."""
 BOX_TOLERANCE_PX = 12
-"""Largest change of a box that is not a visible change, pixels: the width of one digit."""
+"""Largest change in pixels of an element's position or size that counts as no change: the width of one digit."""
 COLOUR_TOLERANCE = 10
-"""Largest change of a mean colour (0 to 255) that is not a visible change: the effect of rounding."""
+"""Largest change of an element's mean colour (0 to 255) that counts as no change: the effect of rounding."""
 
 
 def at_rest(station: Workstation, shot: Shot) -> None:

@@ -148,7 +148,7 @@ def parts_list(version: str, parts: Iterable[Part]) -> dict[str, Any]:
 
 
 def schema_problem(document: str) -> str | None:
-    """Return the first violation of the schema of CycloneDX 1.6 by a list of parts; None if the list is valid.
+    """Return the first violation of the CycloneDX 1.6 schema by a software bill of materials; None if it is valid.
 
     The schema is part of cyclonedx-python-lib, which only the environment of ``make wheels`` has.
     """

@@ -23,12 +23,12 @@ class Times:
 
     @property
     def median_ms(self) -> float:
-        """Median over the rounds of the CPU time of the function, ms."""
+        """Median over the rounds of the CPU time that one call of the function takes, ms."""
         return statistics.median(self.cpu_ms)
 
     @property
     def min_ms(self) -> float:
-        """Least CPU time of the function in a round, ms."""
+        """Least CPU time over the rounds that one call of the function takes, ms."""
         return min(self.cpu_ms)
 
     def to_json(self) -> dict[str, Any]:

@@ -31,7 +31,7 @@ BEFORE_CARINA_MM = (70.0, 50.0, 32.0)
 TO_THE_BACK_LPS = (0.0, 1.0, 0.0)
 """Unit vector from the patient's front to the back, LPS."""
 SIZE = 512
-"""Width and height of a picture shown to readers, pixels."""
+"""Width and height in pixels of the pictures that readers judge without knowing their origin."""
 
 
 def turned(pose: Pose, roll_rad: float) -> Pose:

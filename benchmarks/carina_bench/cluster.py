@@ -36,11 +36,11 @@ from carina_bench.plot_svg import line_plot, timeline
 __all__ = ["PAPER_TABLE_1", "PAPER_TABLE_2", "SECTIONS", "report", "serial_share"]
 
 SECTIONS = ("network", "simulation", "sleeping", "real", "transport", "kills")
-"""Sections of the benchmark, in the order in which they run."""
+"""Names of the sections of ``carina bench cluster``, in the order in which they run."""
 WITHOUT_RAY = ("network", "simulation")
 """Names of the sections that can run without Ray."""
 SIDE = 512
-"""Width and height of the rendered pictures, pixels."""
+"""Width and height in pixels of the pictures that the cluster renders."""
 GRIDS = {"head, 128x128x64": (64, 128, 128), "lung, 256x256x200": (200, 256, 256)}
 """Shapes (nz, ny, nx) of the volumes of the paper's tables, by the name of the table's row."""
 CONCURRENCY = (1, 2, 4, 8)
@@ -211,7 +211,7 @@ class _Cost:
 
     frame_s: float
     profile: np.ndarray[Any, np.dtype[np.float64]]
-    """Cost of each row relative to the mean cost of a row."""
+    """Cost of rendering each row, relative to the mean cost of a row."""
 
 
 def _case(name: str) -> tuple[Volume, Pose, np.ndarray[Any, np.dtype[np.uint8]]]:

@@ -45,7 +45,7 @@ __all__ = [
 IP = "127.0.0.2"
 """Address of the head on the loopback interface."""
 SIDE = 512
-"""Width and height of the rendered pictures, pixels."""
+"""Width and height in pixels of the pictures that the cluster renders."""
 ROW_S = 0.004 / (SIDE / 8)
 """Time of a sleeping renderer for one row, s: eight equal strips of a picture take 4 ms each."""
 
@@ -137,12 +137,12 @@ class Flown:
 
     @property
     def rendering_s(self) -> float:
-        """Mean time in which the renderers rendered one frame, all strips together, s."""
+        """Mean of the renderers' total time for one frame, all strips together, s."""
         return sum(job.seconds for job in self.jobs if job.accepted) / max(1, len(self.shown_s))
 
     @property
     def num_lanes(self) -> int:
-        """Median number of renderers of a frame."""
+        """Median number of renderers that took part in a frame."""
         lanes: dict[int, set[str]] = {}
         for job in self.jobs:
             lanes.setdefault(job.frame_id, set()).add(job.lane)

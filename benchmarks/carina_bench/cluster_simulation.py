@@ -49,9 +49,9 @@ class SimulationResult:
     frame_s: tuple[float, ...]
     """Time at which each measured frame was complete, s from the start of the run."""
     response_s: tuple[float, ...]
-    """Time from the start of each measured frame until it was complete, s."""
+    """Time in s from the start of each measured frame until its last strip arrived."""
     busy: tuple[float, ...]
-    """Fraction of the run in which each machine rendered, 0 to 1."""
+    """Share of the simulated time in which each machine rendered, 0 to 1."""
     shares: tuple[dict[int, float], ...]
     """Share of the rows that the scheduler gave to each machine, by its number, after each frame."""
     num_lanes: tuple[int, ...]

@@ -30,7 +30,7 @@ __all__ = ["SleepingRun", "sleeping_runs"]
 
 @dataclass(frozen=True, slots=True)
 class SleepingRun:
-    """Result of one flight: volume, scheme, speeds of the machines, and times of the frames."""
+    """Result of one flight with simulated renderers: volume, scheduling scheme, speeds, and times of the frames."""
 
     grid: str
     scheme: str

@@ -22,9 +22,9 @@ __all__ = ["CtCase", "cases_of", "is_true_branch", "made_case", "true_tree"]
 
 Points = NDArray[np.float64]
 LUMEN_HU, ONE_SIDED_HU = -980.0, -450.0
-"""CT values of a strand in HU: of its inside, and least value of a wall on one side."""
+"""CT values in HU of a painted strand that resembles an airway: of its air, and least value of a wall on one side."""
 WALL_MM = 0.9
-"""Thickness of the wall on one side of a strand, mm."""
+"""Thickness of the wall on one side of a painted strand, mm."""
 
 
 @dataclass(frozen=True, slots=True)

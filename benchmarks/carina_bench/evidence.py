@@ -17,13 +17,13 @@ __all__ = ["lung_points", "missed_points", "removed_branches", "shows_lumen", "t
 Points = NDArray[np.float64]
 
 CLEAR_MM = 5.0
-"""Least distance of points of plain lung from every airway, mm."""
+"""Distance in mm from every airway from which a point counts as plain lung."""
 FARTHEST_MM = 40.0
-"""Largest distance of points of plain lung from the airway tree, mm."""
+"""Distance in mm from the airway tree beyond which points of plain lung are not used."""
 MISSED_MM = 3.0
 """Distance from a missed point of a true airway within which no lumen was found, mm."""
 SURE = 0.95
-"""Least confidence of a branch that counts as a true airway."""
+"""Confidence from which a branch counts as a true airway."""
 SIDES, SEEN_MM, OPEN_SHARE, SEEN_NOISE = 16, 3.0, 0.2, 3.0
 """Condition of a visible lumen, see :func:`shows_lumen`.
 

@@ -21,7 +21,7 @@ WALL_HU = 150
 FINE = 4
 """Number of cells along each edge of a voxel, so that a fluid level need not be at the border of a voxel."""
 STEP_MM = 0.1
-"""Distance between two samples along the axis of the bronchus, mm."""
+"""Distance in mm between two samples along the axis of a bronchus that is painted as filled."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

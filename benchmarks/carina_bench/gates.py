@@ -22,7 +22,7 @@ class Gate:
 
     @property
     def passed(self) -> bool:
-        """Whether the figure reaches the limit; False for a missing figure."""
+        """Whether the measured figure reaches the limit; False if the figure was not measured."""
         return self.figure >= self.limit if self.better == "higher" else self.figure <= self.limit
 
     def to_json(self) -> dict[str, Any]:

@@ -32,7 +32,7 @@ from carina_bench.render import shipped
 __all__ = ["run"]
 
 SIZES = ((512, 512), (1920, 1080), (3840, 2160))
-"""Sizes of the pictures, pixels."""
+"""Sizes (width, height) in pixels of the pictures that are timed."""
 NUM_POSES = 10
 PICTURED = (0, 4, 9)
 """Poses of which side-by-side pictures are written."""
@@ -115,7 +115,7 @@ def run(name: str, *, sizes: tuple[tuple[int, int], ...], output: Path | None) -
 
 
 def main() -> None:
-    """Run the benchmark for the cases of the command line."""
+    """Run the benchmark of the graphics device for the cases that the command line names."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("cases", nargs="*", default=["phantom-256", "patient"], metavar="CASE")
     parser.add_argument("--quick", action="store_true", help="only pictures of 512 x 512")

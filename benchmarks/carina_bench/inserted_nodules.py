@@ -54,7 +54,7 @@ Edges across thick slices are wider than edges in them.
 """
 MAX_CANDIDATES = 20_000
 SITES = 8
-"""Number of places on a boundary whose features are averaged."""
+"""Number of positions on the boundary of a nodule whose edge features are averaged."""
 AROUND_MM = 45.0
 """Half side of the part of a CT in which real boundaries are searched."""
 STEP_MM, REACH_MM = 0.25, 4.5

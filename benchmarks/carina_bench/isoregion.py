@@ -18,8 +18,8 @@ from carina.render import CutPlaneView, Renderer, build_isoregion_map, project_m
 from carina.scopes import Pose
 from carina_bench.alternating_timer import Times, median_ratio, take_turns
 from carina_bench.cases import Case, open_case
+from carina_bench.compared_scene import TRANSFER
 from carina_bench.pictures import difference, save
-from carina_bench.scene import TRANSFER
 
 __all__ = ["maps", "planes", "prepared_maps", "projections"]
 
@@ -29,7 +29,7 @@ WINDOW_HU = (1500.0, -600.0)
 CLEAR_BELOW_HU = -700
 """CT value in HU below which a voxel counts as clear air."""
 BIN_HU = 16
-"""Width of a bin of CT values, HU."""
+"""Width in HU of the bins of CT values whose regions of equal bins are leaped over."""
 
 
 def _case(name: str) -> Case:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from carina.render import TransferFunction
 from carina.scopes import Pose
 from carina.volume import Volume
-from carina_bench.scene import FOV_DEG, STOP_TRANSPARENCY, opacity_table
+from carina_bench.compared_scene import FOV_DEG, STOP_TRANSPARENCY, opacity_table
 
 __all__ = ["numba_caster"]
 

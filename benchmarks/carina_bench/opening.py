@@ -31,7 +31,7 @@ __all__ = ["measure", "report"]
 WHOLE_MM, QUICK_MM = (0.7, 0.7, 0.5), (1.4, 1.4, 1.0)
 """Spacings in mm (x, y, z): 512 x 512 x 600 voxels in the box, and half as many along each axis."""
 CACHED, MAPPED, PLAIN = "from the cache", "mapped and touched", "read without a check"
-"""Names of three measured functions in the report."""
+"""Names in the report of the three ways of reading a CT that are timed."""
 FIRST_LOOK = "digest, range and quality"
 """Name of the measurement that computes digest, value range and quality."""
 NUM_FILES = 100_000

@@ -24,7 +24,7 @@ __all__ = ["FineVessel", "add_fine_vessels", "fine_vessels"]
 Floats = NDArray[np.float64]
 
 RADII_MM = (0.3, 0.6)
-"""Least and largest radius of a vessel, mm."""
+"""Least and largest radius in mm of the painted fine vessels."""
 RADIUS_POWER = -2.9
 """Exponent of the density of vessels as a power of the radius.
 
@@ -33,13 +33,13 @@ Source: numbers of arteries by radius, Singhal 1973.
 LENGTH_RADII = (7.0, 14.0)
 """Least and largest length of a vessel between two forks, in radii of the vessel."""
 STEP_MM = 0.5
-"""Distance between two points of a vessel's course, mm."""
+"""Distance in mm between two points of a painted vessel's centreline."""
 SAMPLE_MM = 0.25
 """Largest distance between two points at which a vessel is added to the image, mm."""
 REACH_SIGMAS = 3.2
 """Distance from a point within which it contributes to voxels, in standard deviations of the blur."""
 LUNG_MM = 1.5
-"""Least distance of a vessel from the lung's border, mm."""
+"""Least distance in mm of a painted vessel from the lung's border."""
 CLEAR_MM = 0.15
 """Least distance between a vessel's surface and the outside of an airway's wall, mm."""
 BESIDE_SHARE = 0.25
@@ -47,7 +47,7 @@ BESIDE_SHARE = 0.25
 BESIDE_MM = 1.2
 """Largest distance between an airway's wall and a vessel that runs along the airway, mm."""
 MIN_POINTS = 4
-"""Least number of points of a vessel; shorter vessels are omitted."""
+"""Number of points below which a painted vessel is omitted."""
 NUM_AT_ONCE = 4000
 """Number of points that are added to the image in one step, which limits the memory."""
 
@@ -57,7 +57,7 @@ class FineVessel:
     """Course and radius of a vessel that is thinner than the blur."""
 
     points: Floats
-    """Centreline (n, 3), LPS mm."""
+    """Centreline (n, 3) of the vessel, LPS mm."""
     radius_mm: float
 
 

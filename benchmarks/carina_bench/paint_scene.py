@@ -31,14 +31,14 @@ SMOOTH_CENTRE_MM = 1.5
 SMOOTH_RADIUS_MM = 2.5
 """Standard deviation of the smoothing of radii along an airway, mm."""
 STEP_MM = 0.5
-"""Distance between two points of a tube, mm."""
+"""Distance in mm between two points on the axis of a painted tube."""
 
 AIRWAY_FILES = ("bronchialTree.nii.gz", "BronchialTree.nii.gz", "BronchialTree.gz")
 """Names that the file of the airway mask may have in a patient's folder."""
 LUNG_FILES = ("pleuralBoundary.nii.gz",)
-"""Names that the file of the lung mask may have."""
+"""File names under which a data set may contain the lung mask."""
 LOBE_FILES = ("LLL.nii.gz", "LUL.nii.gz", "RLL.nii.gz", "RML.nii.gz", "RUL.nii.gz")
-"""Names of the files of the five lobes."""
+"""File names of the masks of the five lobes."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -25,11 +25,11 @@ class Slices:
     increment_mm: float | None = None
     """Distance between two slices, mm; None means that it equals the thickness. Slices overlap if it is less."""
     is_resampled: bool = False
-    """Whether slices are interpolated linearly between thin slices, without averaging over their thickness."""
+    """Whether a slice is interpolated between two thin slices, instead of being their mean over its thickness."""
 
     @property
     def distance_mm(self) -> float:
-        """Distance between two slices, mm."""
+        """Distance in mm between the centres of two adjacent slices."""
         return self.thickness_mm if self.increment_mm is None else self.increment_mm
 
     def are_thin(self, thin_mm: float) -> bool:

@@ -22,11 +22,11 @@ __all__ = ["MIN_RADIUS_MM", "terminal_airways"]
 Floats = NDArray[np.float64]
 
 MIN_RADIUS_MM = 0.45
-"""Least radius of the lumen of a terminal airway, mm."""
+"""Radius in mm of the lumen below which no terminal airway is painted."""
 FLOW_EXPONENT = 2.8
 """Exponent of Murray's rule: the flow through an airway is proportional to this power of the radius."""
 MIN_FLOW = 0.3
-"""Least share of the parent's flow in the narrower airway of a fork."""
+"""Least share of the parent's flow that the narrower airway of a painted fork receives."""
 LENGTH_RADII = (9.0, 16.0)
 """Least and largest length of an airway between two forks, in radii of its lumen."""
 TURN_DEG = 70.0
@@ -34,15 +34,15 @@ TURN_DEG = 70.0
 WALL_MM = (0.2, 0.3)
 """Least and largest wall thickness of an airway up to 0.8 mm radius, mm; the wall of a wider airway is thicker."""
 STEP_MM = 0.5
-"""Distance between two points of a centreline, mm."""
+"""Distance in mm between two points of a painted airway's centreline."""
 FREE_MM = 0.35
 """Least distance between the walls of two airways that do not share a fork, mm."""
 LUNG_MM = 1.5
-"""Least distance of an airway from the lung's border, mm."""
+"""Least distance in mm of a painted airway from the lung's border."""
 TRIALS = 8
-"""Number of directions that are tried for each airway."""
+"""Number of directions that are tried for each painted airway; the best one is used."""
 MAX_GENERATIONS = 8
-"""Largest number of forks between a mask's tip and a terminal airway."""
+"""Largest number of painted generations beyond a tip of the airway mask."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

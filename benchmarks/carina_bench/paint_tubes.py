@@ -25,7 +25,7 @@ MERGE_SHARE = 0.35
 The width is a share of the radius of the thinner airway.
 """
 FAR_MM = np.float32(50.0)
-"""Distance that is stored for cells far from every tube, mm."""
+"""Distance in mm that is stored for cells of the painted grid that are far from every tube."""
 FULL_LEVEL = 0.99
 """Level of fluid, in radii above the axis, from which the fluid fills the lumen."""
 
@@ -46,7 +46,7 @@ class Tube:
     points: Floats
     """Centreline (n, 3), mm; in a scene LPS."""
     radius_mm: Floats
-    """Radius (n,) of an airway's lumen, or of an artery's outside, mm."""
+    """Radius (n,) in mm of an airway's lumen, or of an artery's outer wall, at each point."""
     id: int = 0
     parent: int | None = None
     generation: int = 0
@@ -145,7 +145,7 @@ class Covers:
 
     lumen: Cells
     airway: Cells
-    """Share of each cell that is lumen or wall."""
+    """Share of each cell that is inside an airway, lumen or wall."""
     artery: Cells
     fluid: Cells
     """Share of the lumen in each cell that is filled with fluid."""

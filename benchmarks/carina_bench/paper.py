@@ -28,7 +28,7 @@ FOLDER = "ct/head_and_lidc2_8bit"
 FILES = {"LIDC2": "LIDC2_256x256x133_uint8.mha", "headsq, 8 bit": "headsq_64x64x93_int16.mha"}
 """Files of the volumes, by the name in the report."""
 SIZE = 256
-"""Width and height of the paper's pictures in pixels (3.1)."""
+"""Width and height in pixels of the pictures in the paper's measurements (section 3.1)."""
 
 
 def _eight_bit(volume: Volume) -> Volume:

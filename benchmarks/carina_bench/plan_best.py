@@ -49,15 +49,15 @@ SCOPES = (scope_preset("thin"), replace(scope_preset("ultrathin"), channel_mm=2.
 MIN_HITS, BARELY_HITS = 0.5, 0.1
 """Shares of needles that hit: below the first the outlook is *may reach*, below the second *does not reach*."""
 NUM_TARGETS = 2
-"""Number of targets of each phantom for which routes are compared."""
+"""Number of targets of each phantom for which Carina's first route is compared with the best one."""
 PLACES_MM, WALK_MM, FINE_MM = 0.35, 0.1, 0.5
 """Distance between two tested points of a centreline, step along a needle, and step of simulated needles, mm."""
 NUM_NEEDLES = 6000
-"""Number of needles that are simulated at each tested point."""
+"""Number of needles with random errors that are simulated at each tested scope position."""
 SIGMA_ANGLE_DEG, SIGMA_TIP_MM = 4.0, 0.7
 """Standard deviations of the needle's direction, degrees, and of the scope's tip, mm."""
 TOLERANCE = 0.04
-"""Largest difference by which the best score may exceed the first route's score."""
+"""Largest accepted amount by which the score of the best route exceeds that of Carina's first route."""
 MIN_SHOWN = 0.003
 """Least contribution to a difference of scores that the report lists."""
 RANKS = ("reaches", "may reach", "does not reach")

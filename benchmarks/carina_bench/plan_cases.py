@@ -30,7 +30,7 @@ Lumen = Callable[[Floats], Floats]
 Say = Callable[[str], None]
 
 RADII_MM = (4.0, 9.0)
-"""Least and largest radius of a generated nodule, mm."""
+"""Least and largest radius in mm of a nodule that a case contains."""
 APART_MM = 5.0
 """Least distance between the surfaces of two nodules, so that each can be segmented alone, mm."""
 NODULE_HU = 30.0
@@ -38,11 +38,11 @@ NODULE_HU = 30.0
 SIGMA_MM = 0.6
 """Standard deviation of the blur of a nodule's edge in a phantom, mm."""
 STEP_MM = 0.3
-"""Distance between two points of a true centreline, mm."""
+"""Distance in mm between two points of a true centreline."""
 WALL_STEP_MM, WALL_MARGIN_MM = 0.6, 6.0
 """Voxel size of the field of the true wall, and distance to which it extends beyond the lumen, mm."""
 WIDE_MM = 2.5
-"""Largest radius of a lumen that may be inside a nodule, mm."""
+"""Radius in mm of a lumen above which the lumen may not be inside a nodule."""
 LUNG_HU = (-990.0, -600.0)
 """Least and largest CT value of lung in which a nodule is placed, HU."""
 NEAR_SHARE, NEAR_MM, NEAR_RADIUS_MM = 0.75, 18.0, (1.2, 3.5)

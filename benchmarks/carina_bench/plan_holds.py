@@ -38,7 +38,7 @@ __all__ = ["Hold", "LumenDepth", "find_hold", "needle_hits"]
 Floats = NDArray[np.float64]
 
 PLACE_STEP_MM = 1.0
-"""Distance between two tested places of the shaft's end, mm."""
+"""Distance in mm between two tested positions of the shaft's end along the airway."""
 NUM_SIDES, OFFSETS, TILTS_DEG = 6, (0.5, 1.0), (10.0, 20.0)
 """Sides towards which the shaft is moved and tilted; shares of the free way to the wall; tilts in degrees."""
 NUM_ROLLS, NUM_BENDS, NUM_LENGTHS = 24, 6, 5
@@ -62,12 +62,12 @@ SIGMA_DEG, SIGMA_MM = 4.0, 0.7
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Hold:
-    """Position and direction of a tip from which enough needles hit."""
+    """Scope tip (position and direction) from which enough needles with random errors hit the target."""
 
     tip_lps: Floats
     forward: Floats
     share: float
-    """Share of the needles with random errors that hit."""
+    """Share of the needles with random errors that hit the target."""
     branch: int
     """Index of the true branch in which the free part of the scope begins."""
     narrowest_mm: float
@@ -244,7 +244,7 @@ class _Chains:
     rigid_mm: float
 
     def rows(self, which: NDArray[Any]) -> _Chains:
-        """Return some of the chains."""
+        """Return the scope shapes with the given row numbers."""
         return _Chains(
             self.base[which],
             self.shaft[which],
@@ -272,7 +272,7 @@ class _Chains:
         return found
 
     def changed(self, rng: np.random.Generator, scale: float, sharpest: float, section_mm: float) -> _Chains:
-        """Return `NUM_CHANGES` random changes of the first chain."""
+        """Return `NUM_CHANGES` random variations of the first scope shape."""
         one = self.rows(np.zeros(NUM_CHANGES, dtype=np.intp))
         turn = scale * math.radians(CHANGE_DEG)
         shaft = _unit(one.shaft + turn * rng.normal(size=(NUM_CHANGES, 3)))
@@ -299,9 +299,10 @@ class _Limits:
     sharpest: float
 
     def room_mm(self, chains: _Chains) -> Floats:
-        """Return by how many mm each chain is inside the lumen with the scope's radius; negative outside the lumen.
+        """Return the least distance in mm between the scope's surface and the wall, for each shape of the scope.
 
-        A chain that is more than `NEARLY_MM` outside is not examined further, so the value is an upper limit then.
+        A negative distance is the depth of the scope in the wall. If a shape is deeper than `NEARLY_MM` in the wall at
+        one place, its other places are not examined, so its distance is only an upper limit.
         """
         tips, forward = chains.ends()
         room = self.lumen.at(tips) + YIELD_MM

@@ -53,7 +53,7 @@ CONDITION = "medium-25"
 PHANTOM_SEEDS = range(1, 21)
 PATIENTS = ("Patient1", "Patient2", "Patient3", "lobes-Patient1", "lobes-Patient2")
 WIDTH_MM = 2.8
-"""Least diameter of the airways of a route, mm."""
+"""Least diameter in mm of the airways of a route whose turns are checked."""
 SIZE_PX = 64
 STEP_MM = 0.5
 BEFORE_MM = 0.3
@@ -332,7 +332,7 @@ def _makers(name: str, say: Say) -> Iterator[tuple[str, Callable[[], PlanCase]]]
 
 
 def main() -> None:
-    """Run the command line: measure the cases and print their figures."""
+    """Run the command line: measure the turns of each case and print how many clock hours are right."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path, help="Folder in which the CTs with their airways are stored.")
     parser.add_argument("cases", nargs="*", help="Cases; default: 20 phantoms and five painted patients.")

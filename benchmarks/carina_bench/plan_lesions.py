@@ -43,12 +43,12 @@ __all__ = [
 Mask = NDArray[np.bool_]
 
 WIDENED = 0.15
-"""Share by which the range of the segmentations is widened on each side."""
+"""Share by which the range of the readers' segmentations is widened on each side before the comparison."""
 LUNG_HU, CLOSING_MM, MIN_LUNG_ML = -400.0, 5.0, 300.0
 """Threshold and closing that find the lung of a CT, and least volume of a lung."""
 RADII_MM = (6.0, 9.0, 13.0, 18.0, 22.0, 26.0)
 MAX_FREE_MM = 18.0
-"""Largest radius in mm of a lesion without contact to the wall."""
+"""Largest radius in mm of a lesion that does not touch the chest wall."""
 BRUSHES_MM: Final = (2.0, 3.0, 4.0, 6.0, 8.0, 12.0)
 """Radii in mm of the window's brush (``web/src/state/tools.ts``) that a stroke may use."""
 MAX_STROKES, MAX_POINTS = 3, 2000
@@ -77,7 +77,7 @@ class Segmented:
 
     @property
     def is_covered(self) -> bool:
-        """Whether the stated interval contains the median of the segmentations."""
+        """Whether the stated interval of the volume contains the median of the readers' segmentations."""
         if self.nodule is None:
             return False
         off = abs(self.nodule.volume_mm3 - float(np.median(self.volumes_mm3)))
@@ -369,7 +369,7 @@ def _print_implanted(place: Path, num: int, seed: int) -> None:
 
 
 def main() -> None:
-    """Run the command line."""
+    """Run the command line: compare the volumes of each lesion and print the figures."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     commands = parser.add_subparsers(dest="command", required=True)
     of_files = commands.add_parser("segmentations", help="compare a click with DICOM SEG files of one lesion")

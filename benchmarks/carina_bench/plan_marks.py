@@ -32,28 +32,28 @@ RING = 0.8
 MIN_ARROW, MAX_ARROW = 0.03, 0.11
 """Least and largest width of the arrow on that circle, as a share of half the picture."""
 MIN_AREA = 1e-3
-"""Least share of the picture that an outline encloses."""
+"""Share of the picture below which an area that marks enclose is not an outlined ostium."""
 AGREE_HOURS = 0.25
-"""Largest difference of arrow and opening in hours."""
+"""Difference in hours up to which arrow and outlined ostium agree."""
 
 
 @dataclass(frozen=True, slots=True)
 class Marks:
     """Arrow and outlined opening as seen in a picture."""
 
-    arrow_hours: float | None
-    """Clock hour of the arrow; None if the picture has no arrow."""
-    opening_hours: float | None
-    """Clock hour of the middle of the outlined area; None if no area is outlined."""
+    arrow_clock_hour: float | None
+    """Clock hour to which the arrow in the picture points; None if the picture has no arrow."""
+    ostium_clock_hour: float | None
+    """Clock hour, seen from the picture's centre, of the outlined ostium's middle; None if no ostium is outlined."""
     is_centre_inside: bool
-    """Whether the middle of the picture is in the outlined area."""
+    """Whether the middle of the picture is in the outlined ostium."""
 
     @property
     def apart_hours(self) -> float | None:
-        """Difference of arrow and opening in hours; None if one of them is missing."""
-        if self.arrow_hours is None or self.opening_hours is None:
+        """Difference in hours between the directions of the arrow and of the ostium; None if one of them is missing."""
+        if self.arrow_clock_hour is None or self.ostium_clock_hour is None:
             return None
-        return apart(self.arrow_hours, self.opening_hours)
+        return apart(self.arrow_clock_hour, self.ostium_clock_hour)
 
 
 def marks_in(rgb: Rgb) -> Marks:
@@ -93,7 +93,7 @@ def _enclosed(marked: Mask) -> Mask:
 
 
 def _arrow(marked: Mask) -> float | None:
-    """Return the hour of the only run of marked pixels on the clock's ring that is as wide as an arrow."""
+    """Return the clock hour of the arrow; None if not exactly one group of marked pixels on the ring has its width."""
     size = marked.shape[0]
     num = 8 * size
     angle = np.arange(num) / num * math.tau
@@ -144,11 +144,12 @@ def marks_summary(pictures: Iterable[tuple[Rgb, float | None, bool]]) -> dict[st
         "agree": sum(gap <= AGREE_HOURS for gap in gaps),
         "most apart, hours": round(max(gaps, default=math.nan), 3),
         "outline within half an hour of the hour": sum(
-            marks.opening_hours is not None and apart(marks.opening_hours, hours) <= 0.5 for marks, hours in with_hour
+            marks.ostium_clock_hour is not None and apart(marks.ostium_clock_hour, hours) <= 0.5
+            for marks, hours in with_hour
         ),
         "straight ahead": len(ahead),
         "straight ahead, centre inside, no arrow": sum(
-            marks.is_centre_inside and marks.arrow_hours is None for marks in ahead
+            marks.is_centre_inside and marks.arrow_clock_hour is None for marks in ahead
         ),
-        "arrow without an hour": sum(marks.arrow_hours is not None and hours is None for marks, hours, _ in found),
+        "arrow without an hour": sum(marks.arrow_clock_hour is not None and hours is None for marks, hours, _ in found),
     }

@@ -28,15 +28,15 @@ __all__ = ["Figures", "painted_figures", "phantom_figures"]
 PAINTED = ("solid", "vessel", "pleura", "ground-glass", "part-solid", "2 mm", "3 mm")
 """Kinds of nodules that are painted from exact shapes."""
 LIMITS = {"solid": 0.05, "phantom, no vessel": 0.05}
-"""Largest relative error of the volume by kind of nodule."""
+"""Largest accepted relative error of a nodule's volume, by kind of nodule."""
 OTHER_LIMIT = 0.15
-"""Largest relative error of the volume of every other kind."""
+"""Largest accepted relative error of the volume for a kind that `LIMITS` does not list."""
 SCENES, QUICK_SCENES = 24, 4
 """Number of painted nodules of each kind, in a full and in a quick run."""
 FIRST_SCENE = 1000
-"""Seed of the first painted nodule."""
+"""Seed of the first painted nodule; the following nodules have the following seeds."""
 PHANTOMS, QUICK_PHANTOMS = range(30), range(4)
-"""Seeds of the phantoms, in a full and in a quick run."""
+"""Seeds of the phantoms with nodules, in a full and in a quick run."""
 SPACING_MM, NOISE_HU, HALF_MM, THICK = 0.8, 25.0, 40.0, 3
 """Spacing (mm) and noise (HU) of the phantoms, half side of the box around a nodule (mm), slices per thick slice."""
 

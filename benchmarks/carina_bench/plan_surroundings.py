@@ -43,7 +43,7 @@ Points = NDArray[np.float64]
 Row = dict[str, Any]
 
 NUM_LINES = 60
-"""Number of needle lines or random boxes of a case."""
+"""Number of random needle lines, or boxes, that are tested in a case."""
 ROOM_MM = 14.0
 """Margin around the target and the scope's tip, mm; equal to the margin in `carina.plan.routes.plan_route`."""
 FINE_MM = 0.5
@@ -462,7 +462,7 @@ def _depth(mask: Mask, spacing: Points) -> NDArray[np.float32]:
 
 
 def _draw(mask: Mask, grid: Volume, points: Points, radius: Points) -> None:
-    """Set the voxels of ``mask`` in balls around points with these radii."""
+    """Set the voxels of ``mask`` to True in a ball round each point, with its radius."""
     spacing = np.array(grid.spacing_mm)
     for point, r in zip(grid.to_ijk(points), radius, strict=True):
         reach = np.ceil(r / spacing).astype(int) + 1

@@ -39,7 +39,7 @@ wall.
 TUBE_MM = 4.2
 """Largest radius in mm of the exact tube; a wider lumen is wide enough for every scope."""
 NUM_SEARCHES, EFFORT = 3, 20_000.0
-"""Number of searches with different seeds, and the effort of each."""
+"""Number of searches for a drive in the true airways, with different seeds, and the effort of each."""
 MIN_HITS, NUM_NEEDLES, EDGE_MM = 0.5, 400, 0.05
 """Least share of needles that hit, number of simulated needles, and spacing of the tested points of a needle, mm."""
 

@@ -89,13 +89,13 @@ PATIENTS = ("Patient1", "Patient2", "Patient3", "lobes-Patient1", "lobes-Patient
 CONDITION = "medium-25"
 """Condition (kernel and noise) under which they are painted."""
 NUM_PER_PATIENT, NUM_PER_PHANTOM = 36, 6
-"""Number of nodules in a painted patient and in a phantom."""
+"""Number of painted nodules in a patient's CT and in a phantom."""
 PHANTOM_SEEDS = range(1, 21)
 """Seeds of the phantoms with nodules."""
 MIN_ARRIVE, MAX_WRONG = 0.94, 0.01
 """Least share of reachable targets at which the route arrives; largest share of wrong statements "reachable"."""
 EDGE_MM = 0.05
-"""Distance between two tested points along the needle, mm."""
+"""Distance in mm between two points of a needle at which the true tissue is tested."""
 AT_ALL_MM = 3.0
 """Length of a true branch below which the found path need not follow its centreline, mm."""
 PASSED = 0.6
@@ -115,7 +115,7 @@ CODE = _code()
 
 @dataclass(frozen=True, slots=True)
 class Flight:
-    """Whether the first route of a plan arrives in the true airways."""
+    """Result of following a plan's first route in the true airways."""
 
     arrives: bool
     why: str

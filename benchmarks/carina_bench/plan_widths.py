@@ -64,7 +64,7 @@ FITTED = frozenset(
 )
 """Subjects on which the constants of the error in :mod:`carina.track.measures.diameter` were fitted."""
 GENERATED = (1, 2, 3)
-"""Seeds of the generated phantoms."""
+"""Seeds of the phantoms that Carina generates, whose routes are compared."""
 SPACINGS_MM = {"1mm": (1.0, 1.0, 1.0), "1.5mm": (1.5, 1.5, 1.5), "2.5mm": (0.8, 0.8, 2.5)}
 """Spacings of the generated phantoms by their names."""
 NOISE_HU = 25.0
@@ -74,7 +74,7 @@ KERNELS = ("medium", "sharp")
 SLICES = ("0.7mm", "1mm", "1.5mm", "2.5mm", "3mm")
 """Names of the slice thicknesses with which the CTs are painted."""
 NUM_PER_BRANCH = 3
-"""Number of routes that end in each branch."""
+"""Number of compared routes that end in each branch."""
 MAX_OUTSIDE = 0.1
 """Largest share of a route's points, without those in the trachea, that may be outside the true lumen."""
 FORMER_SHARE, FORMER_SIGMA_MM = 0.2, 0.15
@@ -83,7 +83,7 @@ FORMER_SHARE, FORMER_SIGMA_MM = 0.2, 0.15
 The first is that of the largest ball, as a share of the coarsest spacing; the second is that of a scope's size, mm.
 """
 MIN_COVERAGE, MAX_COVERAGE, MAX_BIAS = 0.85, 0.95, 3.0
-"""Limits of the coverage, as shares, and of the bias, in %."""
+"""Limits of the share of true diameters inside the stated interval, and of the bias in %."""
 
 
 @dataclass(frozen=True, slots=True)

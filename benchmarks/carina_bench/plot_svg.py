@@ -13,7 +13,7 @@ COLOURS = ("#3b82c4", "#d97a2b", "#4a9b5c", "#b0509a", "#8a7a2f", "#2aa5a5", "#c
 INK = "#777777"
 """Colour of axes and texts of a plot."""
 WIDTH, HEIGHT = 640, 400
-"""Width and height of a plot, pixels."""
+"""Width and height of a plot in pixels of the SVG."""
 LEFT, RIGHT, TOP, BOTTOM = 64, 168, 40, 48
 """Margins around the area of the plot, pixels."""
 

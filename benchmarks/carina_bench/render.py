@@ -21,15 +21,15 @@ from carina.scopes import DEFAULT_SCOPE, Pose, scope_preset
 from carina.volume import Volume
 from carina_bench.alternating_timer import Times, median_ratio, take_turns
 from carina_bench.cases import Case, open_case
+from carina_bench.compared_scene import FOV_DEG, STEP_VOX, STOP_TRANSPARENCY, TRANSFER, VTK_STOP_TRANSPARENCY
 from carina_bench.machine import load_average
 from carina_bench.pictures import difference, save
-from carina_bench.scene import FOV_DEG, STEP_VOX, STOP_TRANSPARENCY, TRANSFER, VTK_STOP_TRANSPARENCY
 
 __all__ = ["first_frame", "frames", "small_frames"]
 
 Request = dict[str, Any]
 SIZE = 512
-"""Width and height of a picture, pixels."""
+"""Width and height in pixels of the pictures that are timed."""
 METHODS: tuple[Literal["brute"], Literal["leap"]] = ("brute", "leap")
 """Methods of casting rays that are compared."""
 BASELINE_REPEATS = 3

@@ -32,7 +32,7 @@ __all__ = ["measure", "report"]
 LAYOUT = {LEAD_VIEW: (960, 720), "axial": (480, 360), "coronal": (480, 360), "sagittal": (480, 360)}
 """Views of the measured window with width and height in pixels."""
 WARM_MS = 1000.0
-"""Limit of the wall time until the first airway picture, ms."""
+"""Limit in ms of the wall time from the reopening of a case to its first airway picture."""
 STAGES = ("state", "first airway picture", "all views", "final airway picture")
 """Stages of opening a saved case until which times are measured."""
 

@@ -29,9 +29,9 @@ from carina_bench.worker import run_section
 __all__ = ["measure", "report"]
 
 RATE_HZ = 30
-"""Number of pictures of the flight per second."""
+"""Number of pictures per second of the flight during which the case is saved."""
 LATE_MS = 50.0
-"""Limit of the delay of the latest picture while edits are saved, ms."""
+"""Limit in ms of the delay of the latest picture while edits are saved."""
 EDIT_EVERY = 8
 """Number of pictures between two edits; at 30 pictures a second this is about four edits a second."""
 LAYOUT: dict[str, tuple[int, int]] = {LEAD_VIEW: (480, 360)}

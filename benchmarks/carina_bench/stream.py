@@ -27,9 +27,9 @@ from carina_bench.machine import machine_facts
 __all__ = ["report"]
 
 LIMIT_MS = 50.0
-"""Limit of the 95th percentile of the time, ms."""
+"""Limit in ms of the 95th percentile of the time from a key to its picture in the browser."""
 READY_S = 300.0
-"""Longest time to wait until the airways are found, s."""
+"""Longest time in s to wait until the airways are found; the benchmark then fails."""
 MIN_PICTURES = 5
 """Smallest number of pictures of a measurement; an adapter in software renders about one a second."""
 PERIOD_S = 1.0 / 60.0
@@ -82,7 +82,7 @@ def report(*, folder: Path, case: str, size: tuple[int, int], quick: bool, as_js
 
 @contextmanager
 def _server(case: str) -> Iterator[tuple[str, str, int]]:
-    """Run a server; yield its address, its access token and its process ID."""
+    """Run a server for a case; yield its address, its access token and its process ID."""
     arguments = ["demo", case] if case in {"phantom", "patient"} else ["open", case]
     command = [sys.executable, "-m", "carina.cli", *arguments, "--no-browser", "--json"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:

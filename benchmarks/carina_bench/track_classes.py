@@ -46,13 +46,13 @@ SLICES = ("0.7mm", "1.5mm", "2mm", "3mm")
 FEWER_SLICES = ("0.7mm", "2mm")
 """Slices of CTs with more noise than 25 HU: for the soft and for the sharp kernel."""
 PHANTOM_SEEDS = (1, 11)
-"""Seeds of the phantoms on which the confidence is compared."""
+"""Seeds of the phantoms in which the confidence of branches is compared with the truth."""
 PHANTOM_PIXEL_MM = 0.8
 """Spacing of the phantoms in the plane of the slices, mm."""
 PHANTOM_SLICES_MM = (0.8, 1.5, 2.0, 3.0)
 """Distances between slices of the phantoms, mm."""
 MAX_ERROR = 0.05
-"""Largest difference, and largest calibration error, that a class may have."""
+"""Largest accepted difference of mean confidence and true share, and calibration error, of a class of branches."""
 CASES = (*PATIENTS, "phantoms")
 """Values that ``--case`` accepts: painted patients, or all phantoms."""
 

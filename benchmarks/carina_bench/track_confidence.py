@@ -37,11 +37,11 @@ Judged = tuple[float, bool, str]
 FIRST_SEED = {"fit": 101, "held": 201}
 """First seed of the phantoms for the fit, and of those held out for the judgement."""
 NUM_GOOD, NUM_POOR, NUM_TREES = 8, 14, 24
-"""Number of good CTs, of poor CTs and of trees for the names."""
+"""Number of good CTs, of poor CTs, and of trees for the names, from which the confidence is fitted."""
 QUICK_CTS, QUICK_TREES = 1, 6
 """Number of good and of poor CTs, and of trees, in a quick run."""
 NUM_BINS = 10
-"""Number of bins of confidence from which the calibration error is computed."""
+"""Number of equal bins of confidence over which the calibration error is averaged."""
 MAX_ERROR, SURE, SURE_SHARE = 0.05, 0.9, 0.7
 """Largest calibration error; confidence that counts as sure; least share of right names that are sure."""
 EDGES = (0.0, 0.5, 0.75, 0.85, 0.9, 0.925, 0.95, 0.97, 0.98, 0.99, 0.995, 0.999, 1.001)
@@ -59,7 +59,7 @@ def calibration_error(shares: Shares, hits: Shares) -> float:
 
 
 def run(quick: bool, say: Say) -> list[Row]:
-    """Return the rows of phantoms with held-out seeds (see ``carina_bench.track``)."""
+    """Return the report's rows for the confidence in phantoms with held-out seeds (see ``carina_bench.track``)."""
     airways, names = [], []
     num_good, num_poor, num_trees = (QUICK_CTS, QUICK_CTS, QUICK_TREES) if quick else (NUM_GOOD, NUM_POOR, NUM_TREES)
     for case, tree, true in _found_trees("held", num_good, num_poor, say):
@@ -169,7 +169,7 @@ def _judged_readings(tree: AirwayTree, truth: AirwayTree) -> tuple[float | None,
     return fit, judged
 
 
-# Fit of the confidence maps:
+# Functions that fit the maps from evidence to confidence:
 
 
 def fitted_airways(scores: Shares, hits: Shares) -> list[tuple[float, float]]:
@@ -205,7 +205,7 @@ def fitted_names(shares: Shares, fits: Shares, hits: Shares) -> tuple[float, flo
     return float(odds[0]), float(odds[1]), float(odds[2])
 
 
-# Collection of the data on the command line:
+# Functions that the command line calls to collect and store the data of the cases:
 
 
 def _collected(folder: Path, part: str, say: Say) -> tuple[list[list[Any]], list[list[Any]]]:

@@ -42,17 +42,17 @@ QUICK_SEEDS = range(101, 102)
 PATIENTS = ("Patient1", "Patient2", "lobes-Patient1", "lobes-Patient2")
 """Names of the patients whose painted CTs are compared."""
 SIZES_MM = (0.0, 1.6, 2.0, 2.5, 3.0, 4.0, 6.0, 10.0, 30.0)
-"""Limits of the classes of true diameter in the report, mm."""
+"""Borders in mm of the classes of true diameter in the report."""
 SIZES_VOX = (0.0, 3.0, 4.0, 6.0, 10.0, 99.0)
-"""Limits of the classes of true diameter, voxels."""
+"""Borders in voxels of the classes of true diameter in the report."""
 MIN_IN_CLASS = 8
-"""Least number of branches or routes of a class in the report."""
+"""Number of branches or routes below which the report omits a class."""
 MIN_SECTIONS = 3
-"""Least number of usable sections of a branch that is compared."""
+"""Number of usable sections below which a branch is not compared."""
 MAX_BIAS = 3.0
-"""Largest bias of a class of diameters, %."""
+"""Largest accepted mean error of a class of diameters, %."""
 MIN_COVERAGE, MAX_COVERAGE = 0.85, 0.95
-"""Least and largest coverage of a class of diameters, as shares."""
+"""Least and largest accepted share of true diameters inside the stated interval, in a class."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -24,7 +24,7 @@ CLIP_HU = 3000.0
 CLIP_SIZE_MM = (1.5, 1.5, 5.0)
 """Size of a surgical clip along the patient's x, y and z axes, mm."""
 STREAK_HU = 900.0
-"""Largest amplitude of the streaks, which they have at the clip, HU."""
+"""Largest amplitude in HU of painted metal streaks, which they have at the metal clip."""
 HALF_STREAK_MM = 25.0
 """Distance from a clip at which the amplitude of its streaks is half of the largest, mm."""
 NUM_BANDS = 72
@@ -32,7 +32,7 @@ NUM_BANDS = 72
 SAME_STREAKS = 0.9
 """Correlation of the streaks of one piece of metal between two neighbouring slices."""
 MIN_HU, MAX_HU = -1024, 3071
-"""Least and largest CT value of a volume, HU."""
+"""Least and largest CT value that a painted volume can store, HU."""
 
 
 def with_clips(
@@ -109,7 +109,7 @@ class Step:
     """Breathing step between two slices: in the scan the anatomy above a level is shifted against that below it."""
 
     above_lps_z: float
-    """Position of the first shifted slice, LPS z in mm."""
+    """Position of the first slice that a painted breathing step shifts, LPS z in mm."""
     shift_mm: tuple[float, float, float] = (0.0, 3.0, 6.0)
     """Shift of the anatomy above the level, LPS mm.
 

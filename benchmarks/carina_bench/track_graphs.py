@@ -99,7 +99,7 @@ def peak_memory(request: Row) -> list[float]:
 
 
 def _rows(name: str, volume: Volume, cost: str, rounds: int, say: Callable[[str], None]) -> list[Row]:
-    """Return the rows of one volume and cost, and print them."""
+    """Return the report's rows for one volume and one edge cost, and print them."""
     found: dict[str, GraphSearch] = {}
     peaks = {
         graph: run_section("track_graphs:peak_memory", {"case": name, "cost": cost, "graph": graph}) for graph in GRAPHS

@@ -41,7 +41,7 @@ Row = dict[str, Any]
 CALIBRES_MM = (0.45, 0.6, 0.8, 1.0, 1.5)
 """Lower limits of the classes of true radius, mm; the last class has no upper limit."""
 WITHOUT_SOFTENING = "without-softening"
-"""Name of the variant in which the search does not compensate kernels."""
+"""Name of the variant of the search that does not compensate sharp reconstruction kernels."""
 CASES = (*PATIENTS, *KERNELS, *SLICES, WITHOUT_SOFTENING)
 """Values that ``--case`` accepts.
 
@@ -58,7 +58,7 @@ AIMS: dict[tuple[str, str], tuple[float, float]] = {
 }
 """Least TD and BD, as means of the patients, by kernel and slice thickness."""
 MIN_PRECISION = 0.98
-"""Limit of the precision within a voxel, as a share."""
+"""Least share of the found lumen's voxels that are within a voxel of the true lumen."""
 MAX_FALSE_MEDIAN, MAX_FALSE = 1, 3
 """Largest number of false branches of a case: median over the cases, and of any case."""
 RING_MM = (0.1, 0.3, 0.5, 0.7, 0.9)
@@ -66,7 +66,7 @@ RING_MM = (0.1, 0.3, 0.5, 0.7, 0.9)
 NUM_MISSED = 600
 """Approximate number of missed points at which the contrast is measured."""
 NUM_DIRECTIONS = 12
-"""Number of points of a ring around a missed lumen."""
+"""Number of points of a ring around a missed lumen, at which its wall is examined."""
 
 
 def run(quick: bool, say: Say, cases: Sequence[str] = ()) -> list[Row]:

@@ -46,19 +46,19 @@ SLICES: dict[str, Slices] = {
     "5mm-every-2.5mm": Slices(5.0, 2.5),
     **{f"{mm:g}mm-resampled": Slices(mm, is_resampled=True) for mm in (1.0, 1.5, 2.0, 2.5, 3.0, 5.0)},
 }
-"""Slice thicknesses and distances, by their names in the cases."""
+"""Slice thicknesses and distances between slices of the painted CTs, by their names in the cases."""
 ABOVE_MM, BELOW_MM = 30.0, 55.0
-"""Lengths above and below the carina that are painted, mm."""
+"""Lengths of the painted part of the airways above and below the carina, mm."""
 QUICK_MM = (25.0, 25.0)
 """Lengths above and below the carina that are painted in a quick run, mm."""
 QUICK = ("medium", "0.7mm")
 """Kernel and slices of a quick run."""
 BESIDE_MM = 8.0
-"""Margin around the lungs that is painted, mm."""
+"""Margin in mm around the lungs that a painted CT contains."""
 HU_STEPS = 16.0
 """Number of steps per HU of stored values, which are multiples of 1/16 HU."""
 MIN_BRONCHUS_MM2 = 25.0
-"""Least area of a main bronchus in a slice, mm2."""
+"""Area in mm2 of a piece of lumen in a slice from which the piece counts as a main bronchus."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -84,7 +84,7 @@ class Truth:
 
 
 def run(quick: bool, say: Callable[[str], None]) -> list[Row]:
-    """Return the rows of measured diameters, lengths, angles and stenosis (see ``carina_bench.track``)."""
+    """Return the report's rows for diameters, lengths, angles and stenosis (see ``carina_bench.track``)."""
     seeds, spacing = (QUICK_SEEDS, QUICK_SPACING_MM) if quick else (SEEDS, SPACING_MM)
     found: dict[str, list[Floats]] = {}
     seconds, edits, num_sections = [], [], 0

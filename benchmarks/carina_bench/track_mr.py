@@ -26,13 +26,13 @@ Points = NDArray[np.float64]
 Say = Callable[[str], None]
 
 SEEDS, QUICK_SEEDS = range(1, 6), range(1, 2)
-"""Seeds of the phantoms."""
+"""Seeds of the phantoms that are shown as MR images, in a full and in a quick run."""
 SPACING_MM, SNR = 1.5, 20.0
 """Size of the voxels in mm, and ratio of the signal of soft tissue to the noise."""
 SEGMENTS = ("RB1", "RB4", "RB6", "RB8", "RB10", "LB3", "LB4", "LB6", "LB8", "LB10")
 """Segments to which paths are searched."""
 STEP_MM = 0.5
-"""Distance of the points on the true centrelines, mm."""
+"""Distance in mm between the compared points of the true centrelines."""
 COSTS = ("lumen", "walls", "paper")
 
 

@@ -53,7 +53,7 @@ CLEAR_SHARE = 0.75
 
 
 def run(quick: bool, say: Callable[[str], None]) -> list[Row]:
-    """Return the rows of named segments, subsegments and lobes (see ``carina_bench.track``)."""
+    """Return the report's rows for named segments, subsegments and lobes (see ``carina_bench.track``)."""
     seeds = QUICK_SEEDS if quick else SEEDS
     exact: Counter[str] = Counter()
     found: Counter[str] = Counter()

@@ -62,9 +62,9 @@ FLUID = ((1.0, 4.0, 9.0), (0.8, 4.0, 9.0))
 PAINTED = (("medium", "0.7mm"), ("medium", "2mm"), ("medium", "3mm"), ("sharp", "0.7mm"))
 """Kernels and slices of painted patients."""
 MIN_TRUE = 0.95
-"""Least share of statements that are true."""
+"""Least accepted share of the search's statements that are true."""
 MIN_NAMED = 0.9
-"""Least share of missed segments that are in the list of absences."""
+"""Least accepted share of missed segments that the list of absences contains."""
 CASES = (*PATIENTS, "healthy", "resected", "filled", "tubes", "necks", "crops", "real")
 """Values that ``--case`` accepts: painted patients, and kinds of phantoms or real CTs."""
 
@@ -82,7 +82,7 @@ class Fact:
 
 @dataclass(frozen=True, slots=True)
 class Statement:
-    """Statement of the search about the patient: kind, name and place."""
+    """Statement of the search about the patient: kind, name and position."""
 
     kind: str
     lps: Points | None

@@ -27,7 +27,7 @@ class TrueBranch:
     """True centreline between two forks, or between a fork and a tip."""
 
     points: Points
-    """Points (n, 3), LPS mm, at most 0.25 mm apart."""
+    """Points (n, 3) of the branch's centreline, LPS mm, at most 0.25 mm apart."""
     radius_mm: NDArray[np.float64]
     """Radius (n,) of the true lumen at each point, mm."""
     generation: int
@@ -42,7 +42,7 @@ class Truth:
     lumen_zyx: NDArray[np.bool_]
     branches: tuple[TrueBranch, ...]
     knows_radius: bool
-    """Whether the radii are exact; otherwise they are measured in a mask."""
+    """Whether the radii are exact, as in a painted CT; otherwise they were measured in a mask."""
     touched_zyx: NDArray[np.bool_] | None = None
     """Voxels (nz, ny, nx) that contain any lumen; None if unknown. A found voxel among them is not false."""
 
@@ -67,10 +67,11 @@ def truth_of_phantom(truth: dict[str, Any], lumen_zyx: NDArray[np.uint8], volume
 
 
 def truth_of_mask(mask_zyx: NDArray[np.bool_], volume: Volume) -> Truth:
-    """Return the skeleton of the largest component of a mask (scikit-image), as a tree from its top without spurs.
+    """Return the reference tree of an airway mask: the skeleton of its largest component, rooted at the top.
 
-    A tube with a hole in its mask gives a loop of the skeleton; a loop is cut where the two ways from the top are
-    longest.
+    The skeleton (scikit-image) loses its spurs, which are short side branches caused by rough surfaces. A hole in the
+    mask of a tube makes a loop in the skeleton; the loop is cut at the point that is farthest from the top along
+    both sides.
     """
     measure: Any = importlib.import_module("skimage.measure")
     morphology: Any = importlib.import_module("skimage.morphology")

@@ -29,7 +29,7 @@ Voxel = tuple[float, float, float]
 Vector = NDArray[np.float64]
 
 WIDTH, HEIGHT = 320, 360
-"""Size of the pictures, pixels."""
+"""Width and height in pixels of the compared pictures."""
 FOV_DEG = 20.0
 LIGHT = Light(ambient=0.4, diffuse=0.7)
 PATH_RGB, ROOT_RGB, TARGET_RGB = (60, 220, 255), (255, 255, 255), (255, 220, 60)

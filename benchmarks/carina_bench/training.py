@@ -53,7 +53,7 @@ class _Measure:
     name: str
     more_is_better: bool
     gaps: tuple[Gap, ...]
-    """Pairs (better, worse)."""
+    """Pairs of flights of which the first must have the better score."""
     source: str
 
 

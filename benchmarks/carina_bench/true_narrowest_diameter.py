@@ -34,7 +34,7 @@ AROUND_MM = 12.0
 CONTAINS = 0.9
 """Share of a tube's radius; a point nearer to the tube's axis than this share counts as inside the tube."""
 PART = 2000
-"""Number of points that are processed in one step, which limits the memory."""
+"""Number of points whose distances are computed in one step; it limits the memory."""
 
 
 def lumen_wall(branches: Sequence[TrueBranch]) -> Floats:
@@ -155,7 +155,10 @@ def _merged(wall: Floats, outwards: Floats, tubes: Sequence[TrueBranch]) -> Floa
 
 
 def _merged_mm(points: Floats, tubes: Sequence[TrueBranch]) -> Floats:
-    """Return the distance (n,) of each point from the rounded union of lumens, as the painter computes it, mm."""
+    """Return the distance (n,) of each point from the wall where several lumens join, mm; negative inside.
+
+    The edge of the joint is rounded by the formula with which `carina_bench.paint_tubes` paints it.
+    """
     least = np.full(len(points), 50.0)
     for tube in tubes:
         other = _outside_mm(tube, points)

@@ -15,17 +15,17 @@ from carina.scopes import Pose
 from carina.volume import Volume
 from carina_bench.alternating_timer import median_ratio, take_turns
 from carina_bench.cases import Case, open_case
+from carina_bench.compared_scene import STEP_VOX, TRANSFER
 from carina_bench.machine import load_average
 from carina_bench.pictures import difference, save
 from carina_bench.render import Request, num_loads, prepared
-from carina_bench.scene import STEP_VOX, TRANSFER
 
 __all__ = ["never_slower"]
 
 PAIRS = 30
 """Number of pairs of pictures (leaping, brute force) that are measured of each view."""
 SIZE = 256
-"""Width and height of a picture, pixels."""
+"""Width and height in pixels of the pictures in which leaping is compared with brute force."""
 
 
 def _noisy(volume: Volume) -> Volume:

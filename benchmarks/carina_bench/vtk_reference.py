@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from carina.render import TransferFunction
 from carina.scopes import Pose
 from carina.volume import Volume
-from carina_bench.scene import FOV_DEG
+from carina_bench.compared_scene import FOV_DEG
 
 __all__ = ["VtkCaster", "vtk_reslice"]
 
@@ -114,7 +114,7 @@ class VtkCaster:
         self._keep = (image, moved, scalars)
 
     def look(self, pose: Pose) -> None:
-        """Set the camera and render one picture, which is not measured."""
+        """Set the camera and render one picture that is not measured, so that the next one is not the first."""
         grid_from_camera = self._grid_from_lps @ pose.lps_from_camera
         position, forward, down = (grid_from_camera[:3, column] for column in (3, 2, 1))
         camera = self._renderer.GetActiveCamera()

@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 from typing import TYPE_CHECKING, Any, NoReturn
 
-from carina.display.printable import printable, shortened_words
+from carina.display.escaped_text import printable, shortened_words
 
 if TYPE_CHECKING:
     import numpy as np
@@ -262,15 +262,22 @@ def check_type(where: str, name: str, value: object, kinds: type | tuple[type, .
 
 
 def refuse_pickle(value: object, remedy: str) -> NoReturn:
-    """Refuse to pickle or copy a value that is bound to its process; ``__reduce__`` of its class calls this function.
+    """Raise the error for pickling or copying a value that exists only in its process, such as a renderer.
 
-    ``remedy`` is the end of the message.
+    ``__reduce__`` of such a class calls this function.
+
+    Parameters
+    ----------
+    value
+        The value that was to be pickled.
+    remedy
+        End of the message: what the caller can do instead.
 
     Raises
     ------
     TypeError
-        Always. It is the class that Python raises for pickles; an error of Carina could be mistaken for a result, such
-        as a verdict.
+        Always. Python raises TypeError for objects that cannot be pickled; callers that handle `CarinaError` as the
+        negative result of a plan or a search do not catch a TypeError.
     """
     raise TypeError(f"a {type(value).__name__} cannot be copied or pickled; {remedy}")
 

@@ -18,9 +18,9 @@ from carina.errors import CarinaError
 from carina_bench import machine
 from carina_bench.alternating_timer import Times, median_ratio, order_of_round, take_turns
 from carina_bench.command import SECTIONS
+from carina_bench.compared_scene import STEP_VOX, TRANSFER, opacity_table
 from carina_bench.gates import Gate
 from carina_bench.pictures import difference, save
-from carina_bench.scene import STEP_VOX, TRANSFER, opacity_table
 from carina_bench.worker import run_section
 
 

@@ -204,7 +204,7 @@ def test_map_does_not_replace_its_scan(carina, bundle):
     assert bundle.read_bytes() == before
 
 
-def test_scan_with_its_map_does_not_replace_the_scan_alone(carina, ct, tmp_path):
+def test_writing_a_scan_with_its_map_to_the_file_of_the_scan_is_refused(carina, ct, tmp_path):
     scan = tmp_path / "scan.nrrd"
     volume = product.open_volume(ct)
     write_grid(scan, volume.hu_zyx, volume.lps_from_ijk, what="the scan", note="written by another program")

@@ -164,7 +164,7 @@ def not_finite(value: Any, place: str = "result", depth: int = 0) -> str | None:
     if depth > 6 or value is None or isinstance(value, str | bytes | bool | int):
         return None
     if isinstance(value, TreeMeasures):
-        # Sections without a figure are NaN by definition, which the document stores as null.
+        # A cross-section that could not be measured is NaN by definition; the JSON document stores null for it.
         value = value.to_json()
     if isinstance(value, float):
         return None if math.isfinite(value) else f"{place} is {value}"

@@ -221,7 +221,7 @@ def test_double_click_with_an_active_tool_applies_it_once_and_does_not_enlarge_t
     show(undone, view)
     for tool in TOOLS:
         arm(undone, tool)
-        # The tool can change the step, whose layout has the view at another place.
+        # A tool may open another step of the work, in whose layout the view is at another place on the screen.
         undone.refreshes(2)
         undone.wait_still()
         x, y = middle_of(undone, view)

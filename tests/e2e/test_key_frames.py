@@ -20,7 +20,7 @@ def wait_keys(page, num: int) -> None:
     wait(page, f"window.__carina.state.keyFrames?.frames.length === {num}")
 
 
-def test_flight_of_three_key_frames_is_interrupted_undone_saved_and_opened_again(server, workstation, tmp_path):
+def test_key_frame_flight_stops_on_user_movement_and_is_restored_from_a_downloaded_file(server, workstation, tmp_path):
     workstation.open(server)
     workstation.wait_ready()
     page = workstation.page

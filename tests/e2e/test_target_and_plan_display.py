@@ -182,7 +182,8 @@ def test_verdict_of_a_plan_is_shown_above_its_details_and_printed(server, workst
     card = answer.bounding_box()
     assert card["y"] + card["height"] <= pictures["y"], "the answer covers no picture"
     answer.get_by_test_id("answer-details").click()
-    # The panel below contains the details; the reasons and the print button exist once.
+    # The link opens the panel below the answer. The page has one print button and one list of reasons, so their test
+    # IDs are unique.
     page.get_by_test_id("planned").wait_for()
     workstation.wait_still()
     workstation.picture(f"answer-route-{size[0]}")

@@ -95,7 +95,7 @@ def test_click_deep_in_the_chest_wall_is_refused():
     assert error.value.code == "plan.no-boundary"
 
 
-def test_note_states_the_volumes_of_a_drawn_boundary_and_of_a_click():
+def test_note_of_a_target_from_a_file_compares_its_volume_with_that_of_a_click_at_its_middle():
     volume, _ = chest_part(((-14.0, 0.0, 0.0, 13.0),))
     k, j, i = np.indices(volume.shape_zyx)
     off = np.linalg.norm(volume.to_lps(np.stack([i, j, k], axis=-1).astype(float)) - (-14.0, 0.0, 0.0), axis=-1)

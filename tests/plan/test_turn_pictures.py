@@ -92,13 +92,13 @@ def test_outline_and_arrow_in_the_pixels_have_the_direction_of_the_stated_clock_
         marks = marks_in(made.rgb)
         hours = made.turn.clock_head
         if hours is None:
-            assert marks.arrow_hours is None, made.turn
+            assert marks.arrow_clock_hour is None, made.turn
             assert marks.is_centre_inside or not made.turn.straight_ahead, made.turn
             continue
         assert marks.apart_hours is not None and marks.apart_hours <= 0.25, made.turn
-        assert marks.opening_hours is not None
-        assert apart(marks.opening_hours, hours) <= 0.25, made.turn
-        assert apart(marks.opening_hours, float(made.turn.hour("head") or 0)) <= 0.75, made.turn
+        assert marks.ostium_clock_hour is not None
+        assert apart(marks.ostium_clock_hour, hours) <= 0.25, made.turn
+        assert apart(marks.ostium_clock_hour, float(made.turn.hour("head") or 0)) <= 0.75, made.turn
 
 
 def test_picture_of_a_turn_with_an_unreliable_clock_hour_has_no_arrow_and_states_no_hour() -> None:

@@ -125,7 +125,7 @@ def test_pixel_in_the_airway_picture_selects_the_lumen_in_front_of_the_wall_for_
     preview = ask(pointing, 5, frame_id=5, column=12.0, row=7.5)
     assert preview.lps is not None
     again = ask(pointing, 6, lps=preview.lps)
-    # The point that the click sends gives an edit that equals the preview of the place in the picture.
+    # A click sends the point in LPS that the preview returned for the pixel; both give the same edit.
     assert (again.lines, again.problem) == (preview.lines, preview.problem)
 
 

@@ -53,7 +53,7 @@ def test_missing_closed_or_ambiguous_sockets_are_refused(tmp_path):
     assert not comes_from_same_user({"client": ("host", 1), "server": SERVER}, of(tmp_path, row(*ENDS, ME)))
 
 
-def test_connection_from_another_machine_is_refused_whatever_the_table_contains(tmp_path):
+def test_connection_from_another_machine_is_refused_even_if_the_socket_table_lists_it(tmp_path):
     tables = of(tmp_path, row(*ENDS, ME))
     assert not comes_from_same_user(scope(client=("192.168.1.5", 40000)), tables)
     assert not comes_from_same_user(scope(server=("192.168.1.5", 8123)), tables)

@@ -79,7 +79,7 @@ def test_target_voxels_are_omitted_from_the_vessel_layer():
     both, (one,) = ((ShownLayers(lungs, None, n).lines(axial(1.0), ("vessels",))) for n in ((), (nodule,)))
     assert drawn(both[0])[:, 0].max() > 28.0
     assert drawn(one)[:, 0].max() < 20.0
-    # The map itself is unchanged.
+    # Only the drawn layer omits the target's voxels; the vessel mask still contains them.
     assert vessels.inside_zyx[10, 12, 14]
 
 

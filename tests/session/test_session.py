@@ -255,7 +255,7 @@ def test_case_without_airways_is_usable_and_has_a_message():
         fixture.session.do(GoTo(3.0))
 
 
-def test_threshold_that_found_no_airways_is_reused_for_the_next_root_and_reported_once():
+def test_search_from_a_new_root_uses_the_threshold_of_the_failed_search_and_shows_no_error_message():
     calls = []
 
     def find_nothing(volume, *, root_lps=None, lumen_threshold=None, **_options):
@@ -336,7 +336,7 @@ def test_every_movement_has_a_new_pose_number():
     assert numbers == sorted(set(numbers))
 
 
-def test_selecting_a_scope_sets_field_of_view_and_outline_and_is_undone():
+def test_selecting_a_scope_sets_field_of_view_and_picture_outline_and_undo_restores_both():
     fixture = session_fixture()
     fixture.open()
 

@@ -168,7 +168,7 @@ def check_places(chest: Chest, case: carina.Case, places: tuple[Point, ...]) -> 
         kinds.update(doubts or ["none"])
         assert (shown, listed) == (text, doubts), at
         if BESIDE_AIRWAY in doubts and marked is None:
-            # The window selects the airway, and offers the target.
+            # Beside an airway a click in the window selects the branch, and the target is only offered as a choice.
             continue
         assert (marked, question) == (text, doubts), at
         assert is_planned == (not doubts), at

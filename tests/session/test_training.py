@@ -230,7 +230,7 @@ def test_closing_a_case_stops_the_score_of_an_attempt_that_it_ends(workstation, 
         raise AssertionError("the score of a closed case was computed")
 
     def release_slowly(*within):
-        # The thread of the attempt runs while the closing waits for the disk.
+        # The thread that computes the score of the attempt starts while the closing of the case waits for the disk.
         assert not workstation.follow(0.1)
         assert begun.wait(20.0)
         release(*within)

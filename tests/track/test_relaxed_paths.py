@@ -259,7 +259,7 @@ def test_the_shortest_path_of_a_matrix_equals_the_exhaustive_search():
         assert sum(lengths[a, b] for a, b in itertools.pairwise(found)) == pytest.approx(min(costs))
 
 
-def test_tree_and_crossings_follow_a_path_whose_excursion_is_replaced(chest, results, monkeypatch):
+def test_tree_and_wall_crossings_use_the_path_without_its_excursion_from_the_lumen(chest, results, monkeypatch):
     volume, airways, ends = chest
     box = search_box(volume, [airways.root_lps, *ends], max_bytes=22 * 600_000)
 

@@ -94,7 +94,7 @@ def inspection(order, landmark_frame, *frames):
     )  # fmt: skip
 
 
-def test_landmarks_after_the_segments_do_not_complete_the_task():
+def test_inspection_is_not_completed_if_the_landmark_is_seen_after_the_first_segment():
     assert inspection("landmarks", 10, 30, 50).completed
     late = inspection("landmarks", 40, 30, 50)
     assert not late.completed

@@ -229,7 +229,7 @@ def test_grid_file_that_decompresses_to_more_than_the_header_claims_is_refused(t
     assert refusal(path).code == "import.truncated"
 
 
-def test_grid_files_of_four_dimensions_or_colours_are_refused(tmp_path):
+def test_grid_files_with_four_dimensions_or_with_colours_are_refused(tmp_path):
     four = sitk.GetImageFromArray(np.zeros((2, 9, 11, 13), dtype=np.int16), isVector=False)
     colour = sitk.GetImageFromArray(np.zeros((9, 11, 13, 3), dtype=np.uint8), isVector=True)
     for suffix in ("nii", "nrrd", "mha"):

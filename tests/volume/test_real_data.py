@@ -120,8 +120,8 @@ def test_each_unusual_dicom_file_gives_a_volume_or_a_refusal(data_dir, every):
     outcomes = {path: _outcome(path) for path in paths}
     assert all(outcome.startswith(("Volume(", "import.")) for outcome in outcomes.values())
     assert len(series) == 20
-    # The JPEG 2000 series (1) and the tilted series (28) give a volume: their folders and each of their files. One more
-    # file is an enhanced CT with two frames.
+    # Paths that give a volume: the folder of the JPEG 2000 series (1) and its files (20 // every), the paths of the
+    # tilted series (28), and an enhanced CT with two frames (1).
     assert sum(outcome.startswith("Volume(") for outcome in outcomes.values()) == 1 + 20 // every + 28 + 1
 
 

@@ -32,7 +32,7 @@ fn oblique(shape_zyx: [usize; 3]) -> Grid {
     .unwrap()
 }
 
-/// Return the distance from a point to a segment.
+/// Return the distance of a point from a line segment.
 fn off_segment(p: [f64; 3], a: [f64; 3], b: [f64; 3]) -> f64 {
     let d = [0, 1, 2].map(|i| b[i] - a[i]);
     let e = [0, 1, 2].map(|i| p[i] - a[i]);

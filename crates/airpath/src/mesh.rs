@@ -77,7 +77,8 @@ fn rings_of(inside: u8) -> Rings {
             if holds(face[n]) || !holds(face[(n + 1) % 4]) {
                 continue;
             }
-            // A face with two single inside corners keeps them apart; the rule depends only on the face.
+            // If two diagonal corners of a face are inside, the surface separates them. Both cells of a face apply this
+            // rule, so the mesh has no hole there.
             let mut last = (n + 1) % 4;
             while holds(face[(last + 1) % 4]) {
                 last = (last + 1) % 4;

@@ -338,7 +338,7 @@ fn joined(pieces: &[Piece]) -> Vec<Vec<PicturePoint>> {
 struct Places(Vec<u32>);
 
 impl Places {
-    /// Entry of an empty slot.
+    /// Value of an entry of the hash table that contains no piece.
     const FREE: u32 = u32::MAX;
 
     fn of(pieces: &[Piece]) -> Self {

@@ -158,7 +158,10 @@ fn build_radius_map<'py>(
     })
 }
 
-/// Compute the cell map of runs of values; a cell whose values are not in one run has radius 0.
+/// Compute the radius map of cells (of eight voxels each) for classes that are given as intervals of values.
+///
+/// `runs` are the first and last value of each interval. A cell whose eight values are not in one interval has
+/// radius 0.
 #[pyfunction]
 #[pyo3(signature = (hu_zyx, runs, *, cancel=None, simd=None, num_slabs=None))]
 fn build_cell_map<'py>(

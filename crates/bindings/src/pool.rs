@@ -7,7 +7,7 @@ use rayon::{ThreadPool, ThreadPoolBuilder};
 
 use crate::thread_clock::PoolClock;
 
-/// Number of current reservations, and the smaller thread pool while there are any.
+/// Number of reservations of threads, and the smaller thread pool that is used while there are any.
 struct Reservations {
     num_holders: usize,
     pool: Option<Arc<Smaller>>,
@@ -18,7 +18,7 @@ struct Smaller {
     clock: PoolClock,
 }
 
-/// Thread reservations of this process.
+/// Reservations of threads by this process.
 static RESERVATIONS: Mutex<Reservations> = Mutex::new(Reservations {
     num_holders: 0,
     pool: None,

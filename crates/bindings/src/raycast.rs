@@ -208,7 +208,7 @@ impl Bricks {
         Self::default()
     }
 
-    /// Return the number of cached bricks of normals and samples.
+    /// Return the number of cached bricks of normals and of samples.
     fn __len__(&self) -> usize {
         let slopes = self.slopes.lock().unwrap_or_else(PoisonError::into_inner);
         let samples = self.samples.lock().unwrap_or_else(PoisonError::into_inner);
@@ -225,7 +225,7 @@ impl Bricks {
 ///
 /// The default is that of the environment variable `CARINA_SIMD` (for tests), or else the fastest set of this machine.
 pub(crate) fn instruction_set(name: Option<&str>) -> PyResult<InstructionSet> {
-    /// Value of `CARINA_SIMD`, read on first use.
+    /// Value of the environment variable `CARINA_SIMD`, read on first use.
     static CHOSEN: OnceLock<Option<String>> = OnceLock::new();
     let chosen = || {
         std::env::var("CARINA_SIMD")

@@ -2,7 +2,7 @@
 
 use std::{sync::OnceLock, time::Duration};
 
-/// Kind of a graphics adapter.
+/// Kind of a graphics adapter, as the driver reports it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum AdapterKind {
     /// Graphics card with its own memory.

@@ -19,7 +19,7 @@ use crate::{
     uniforms::{Band, Uniforms},
 };
 
-/// Number of pixels along each side of a workgroup.
+/// Number of pixels along each side of the square that one workgroup casts.
 const GROUP: usize = 8;
 /// Largest number of pixels of a band; it limits the buffer of a band's rays to 40 MB.
 const BAND_PIXELS: usize = 1 << 21;
@@ -30,14 +30,14 @@ const BAND_PIXELS: usize = 1 << 21;
 const BAND_SAMPLES: f64 = 5e8;
 /// Largest number of steps of a ray; f32 counts steps exactly to 2^24, and the ends of a ray are computed in f32 here.
 const MAX_STEPS: f64 = 4_194_304.0;
-/// Smallest number of pixels that one CPU thread converts after the read-back.
+/// Smallest number of pixels that one CPU thread converts after they were read back from the device.
 const SHARE: usize = 1 << 13;
-/// Number of workgroups that fill bricks.
+/// Number of workgroups that compute the requested bricks of slopes.
 const FILL_GROUPS: u32 = 256;
-/// Largest number of workgroups that smooth silhouettes, and number of threads of each.
+/// Largest number of workgroups that cast silhouettes again, and number of threads of each.
 const SMOOTH_GROUPS: usize = 512;
 const SMOOTH_THREADS: usize = 64;
-/// Number of workgroups that meter the exposure with eight rays each.
+/// Number of workgroups that measure the exposure with eight rays each.
 const METER_GROUPS: u32 = 18;
 
 impl Gpu {
@@ -207,8 +207,8 @@ impl Gpu {
                 });
             }
         }
-        // Leaps with a map of transparent classes read no label, so the reads are those of brute force plus the
-        // look-ups.
+        // A radius map of transparent classes has no labels. The reads of a picture with leaps are therefore counted
+        // as those of its samples by brute force, plus the reads of the map.
         Ok((walls, stats.with_loads(frame, Method::Brute)))
     }
 
@@ -395,7 +395,7 @@ fn groups_of(frame: &Frame<'_>, rows: &Range<usize>) -> [u32; 2] {
     [frame.camera().width(), rows.len()].map(|n| n.div_ceil(GROUP) as u32)
 }
 
-/// Return the number of rows that a device casts in one dispatch.
+/// Return the number of rows that a device casts in one dispatch, so that no dispatch takes too long.
 fn rows_per_band(parameters: &FrameParameters<'_>) -> usize {
     let by_samples = BAND_SAMPLES / (parameters.width as f64 * parameters.most_steps);
     (BAND_PIXELS / parameters.width)

@@ -1,4 +1,4 @@
-//! Pipelines of the stages, and the resources of a picture that they bind.
+//! Compute pipelines of the rendering stages on the GPU, and the bind groups with the buffers of one picture.
 
 use crate::{
     Gpu,

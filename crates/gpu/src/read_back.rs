@@ -11,14 +11,14 @@ use crate::{
     resources::{COUNT_BYTES, RESULT_BYTES},
 };
 
-/// Number of counters of a picture's work.
+/// Number of counters of a picture's work (rays, samples, look-ups, ...) that the device returns.
 const COUNTS: usize = 5;
 
 /// Results of a picture that are read back.
 pub(crate) struct Results<'a> {
     pub(crate) pixels: &'a [u8],
     pub(crate) counts: &'a [u8],
-    /// Number of shaded first walls.
+    /// Number of pixels whose first wall was shaded.
     pub(crate) num_lit: u32,
     /// Number of bricks of slopes that pictures of the volume have requested.
     num_requested: u32,
@@ -103,7 +103,7 @@ impl Gpu {
     }
 }
 
-/// Add the counters of a picture to the statistics.
+/// Add the counters that the device returned for a picture to the statistics.
 pub(crate) fn add_counts(stats: &mut CastStats, counts: &[u8], shaded: bool) {
     for counts in counts.as_chunks::<{ 8 * COUNTS }>().0 {
         let [samples, lookups, leaps, skipped, lit] =

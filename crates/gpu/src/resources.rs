@@ -16,7 +16,7 @@ pub struct GpuVolume {
     pub(crate) slopes: Mutex<Option<Arc<SlopeStore>>>,
 }
 
-/// Radius map on the device.
+/// Radius map for leaps in the memory of the device.
 #[derive(Debug)]
 pub struct GpuMap {
     pub(crate) view: wgpu::TextureView,
@@ -37,7 +37,7 @@ pub struct GpuDecoration {
 pub struct Resident<'a> {
     /// Values of the frame's volume.
     pub volume: &'a GpuVolume,
-    /// Radii of the transparent classes; without a map every sample is taken.
+    /// Radius map for leaps over transparent classes; without a map the casters read every sample of a ray.
     pub map: Option<&'a GpuMap>,
     /// Anatomical data of the frame; without them, a decorated picture uploads them.
     pub decoration: Option<&'a GpuDecoration>,
@@ -51,14 +51,14 @@ pub(crate) struct Directions {
     pub(crate) lens: Arc<LensRays>,
 }
 
-/// Transfer table on the device.
+/// Transfer table (colour and opacity by value) in the memory of the device.
 #[derive(Debug)]
 pub(crate) struct TableOnDevice {
     pub(crate) buffer: wgpu::Buffer,
     pub(crate) entries: Vec<[f32; 4]>,
 }
 
-/// Number of bytes of the counters of a picture's work.
+/// Number of bytes of the counters of a picture's work in the buffer that is read back.
 pub(crate) const COUNT_BYTES: u64 = 40;
 /// Number of bytes of the results at the start of `State` that are read back.
 pub(crate) const RESULT_BYTES: u64 = 16;
@@ -68,13 +68,13 @@ pub(crate) const STATE_BYTES: u64 = RESULT_BYTES + 4 * 144;
 /// Sizes of the buffers of a picture.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) struct SlotSize {
-    /// Number of pixels whose colours, depths and silhouettes are stored.
+    /// Number of pixels for which the slot's buffers have colours, depths and silhouettes.
     pub(crate) num_pixels: u64,
-    /// Number of bytes of the rays of a band.
+    /// Size in bytes of the buffer for the first walls of a band.
     pub(crate) wall_bytes: u64,
-    /// Whether walls are shaded on the device.
+    /// Whether the device shades the walls; otherwise the processor does.
     pub(crate) is_lit: bool,
-    /// Number of bytes that are read back.
+    /// Size in bytes of the buffer that is read back.
     pub(crate) read_bytes: u64,
 }
 

@@ -6,9 +6,9 @@ use carina_raycast::WallLighting;
 
 use crate::{Gpu, GpuError, device::lock, slope_store::SlopeStore};
 
-/// Number of bytes of a stored brick.
+/// Size in bytes of one brick in the buffer of slopes: 512 int16.
 const BRICK_BYTES: usize = 1024;
-/// Number of bytes before the entries of the bricks.
+/// Size in bytes of the header before the table of the bricks.
 const HEADER_BYTES: usize = 16;
 
 impl Gpu {

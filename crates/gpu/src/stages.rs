@@ -35,21 +35,21 @@ pub(crate) enum Stage {
     Cast,
     /// Cast the rays from which the exposure is computed.
     Meter,
-    /// Compute the exposure.
+    /// Compute the exposure from the metered rays.
     Expose,
     /// Request the bricks of slopes that a band needs.
     Request,
-    /// Fill the requested bricks.
+    /// Compute the slopes of the requested bricks.
     Fill,
     /// Shade the walls of a band.
     Light,
-    /// List the pixels on silhouettes.
+    /// List the pixels that are on silhouettes.
     Mark,
     /// Cast and shade two rays for each listed pixel.
     Smooth,
 }
 
-/// All stages.
+/// All stages, in the order of the layouts of a device.
 const STAGES: [Stage; 8] = [
     Stage::Cast,
     Stage::Meter,

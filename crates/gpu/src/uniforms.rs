@@ -46,7 +46,7 @@ pub(crate) struct Uniforms {
 /// Rows of a picture that one dispatch processes.
 #[derive(Debug, Clone)]
 pub(crate) struct Band {
-    /// Rows of the picture.
+    /// Rows of the picture that the band contains.
     pub(crate) rows: Range<usize>,
     /// Rows for which the buffers of the picture have space.
     pub(crate) all: Range<usize>,

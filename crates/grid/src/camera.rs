@@ -18,7 +18,7 @@ pub struct Camera {
 /// Ray through the centre of one pixel, in patient space.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PixelRay {
-    /// Camera centre, LPS mm.
+    /// Position of the camera's centre, LPS mm.
     pub origin_lps: [f64; 3],
     /// Direction from the camera, a unit vector, LPS.
     pub dir_lps: [f64; 3],

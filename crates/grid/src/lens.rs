@@ -54,9 +54,9 @@ pub struct Optics {
     focal_px: [f64; 2],
     centre_px: [f64; 2],
     size_px: [usize; 2],
-    /// Largest argument of the radial function.
+    /// Largest argument of the lens's radial function for which the lens has a ray.
     limit: f64,
-    /// Angle from the axis that belongs to `limit`, radians.
+    /// Angle in radians between a ray and the lens axis that belongs to `limit`.
     limit_rad: f64,
     fov_rad: f64,
 }

@@ -64,7 +64,7 @@ fn resample_row(
     }
 }
 
-/// Position between two voxels of one axis.
+/// Position between two neighbouring voxels along one axis.
 struct Between {
     low: usize,
     high: usize,
@@ -72,7 +72,7 @@ struct Between {
 }
 
 impl Between {
-    /// Return the value between those of the two voxels.
+    /// Return the value at this position, interpolated linearly between the values of the two voxels.
     fn mixed(&self, low: f64, high: f64) -> f64 {
         low + (high - low) * self.share
     }

@@ -13,7 +13,7 @@ pub enum InstructionSet {
     Avx2,
     /// AVX-512 F, BW, DQ and VL (servers since about 2017, AMD since Zen 4).
     Avx512,
-    /// NEON, which every `aarch64` has.
+    /// NEON, which every `aarch64` processor has.
     Neon,
 }
 

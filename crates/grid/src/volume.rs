@@ -172,13 +172,13 @@ impl<'a, T: Copy> VolumeView<'a, T> {
         self.grid
     }
 
-    /// Return the value of a voxel.
+    /// Return the value of the voxel at these indices.
     #[must_use]
     pub fn at(&self, ijk: [usize; 3]) -> T {
         self.data[self.grid.index(ijk)]
     }
 
-    /// Return the value of the voxel at signed coordinates, clamped to the edge.
+    /// Return the value of the voxel at signed indices; outside the volume, that of the nearest voxel.
     #[must_use]
     pub fn at_clamped(&self, ijk: [isize; 3]) -> T {
         let shape = self.grid.shape_ijk();

@@ -8,15 +8,15 @@ pub enum IsoRegionError {
     Length {
         /// Shape (z, y, x) of the volume.
         shape_zyx: [usize; 3],
-        /// Number of voxels of the shape.
+        /// Number of voxels that the given shape has.
         expected: usize,
-        /// Number of labels found.
+        /// Number of labels that were passed.
         found: usize,
     },
     /// A table of colours over HU has no entry.
     #[error("the colour table is empty; it must cover every value of the volume")]
     EmptyTable,
-    /// The caller stopped the computation.
+    /// The caller cancelled the construction of the map.
     #[error("stopped while building the IsoRegion map")]
     Cancelled,
 }

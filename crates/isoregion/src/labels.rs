@@ -119,7 +119,7 @@ fn runs_of_one_colour(lo_hu: i32, table: &[Rgba]) -> Result<Vec<(i32, i32, bool)
     Ok(runs)
 }
 
-/// Number of int16 values.
+/// Number of different int16 values: the length of a table with one entry for each value.
 const NUM_VALUES: usize = 1 << 16;
 
 const fn position(hu: i16) -> usize {
@@ -228,7 +228,7 @@ fn label_runs(hu: &[i16], runs: Vec<(i32, i32, bool)>) -> ClassLabels {
 mod tests {
     use super::*;
 
-    /// Colour with opacity 0.
+    /// Colour of a class without opacity; its colour channels must not matter.
     const CLEAR: Rgba = [0.2, 0.3, 0.4, 0.0];
     /// Red with an opacity of one half.
     const RED: Rgba = [1.0, 0.0, 0.0, 0.5];

@@ -16,13 +16,15 @@ use crate::{
 /// thread saves.
 const MIN_SLAB_SLICES: usize = 8;
 
-/// Largest number of runs for which a cell map is built without labels; with more runs the volume is labelled first.
+/// Largest number of value intervals for which a map of cells is built without labels.
+///
+/// With more intervals, a volume of labels is built first.
 const MAX_RUNS: usize = 4;
 
 /// Settings for the construction of a map; they change the speed but not the map.
 #[derive(Clone, Copy)]
 pub struct MapBuilder<'a> {
-    /// Instruction set of the kernels.
+    /// Instruction set of the processor with which the map is computed.
     pub simd: InstructionSet,
     /// Number of slabs of slices, rounded up to a power of two; each slab has its own thread.
     pub num_slabs: usize,
@@ -103,10 +105,10 @@ impl MapBuilder<'_> {
         self.build(Source::Labels(labels, Unit::Cell), shape_zyx, out)
     }
 
-    /// Write to `out` the cell map of classes that are given as runs of values.
+    /// Write to `out` the radius map of cells (of eight voxels each) for classes that are given as intervals of values.
     ///
-    /// `runs` has the first and last value of each run; runs are disjoint. With few runs no label volume is created.
-    /// Values in no run have radius 0.
+    /// `runs` has the first and last value of each interval; the intervals are disjoint. With few intervals no label
+    /// volume is created. Cells with a value in no interval have radius 0.
     ///
     /// # Errors
     ///

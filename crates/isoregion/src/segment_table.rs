@@ -18,7 +18,7 @@ pub struct SegmentTable {
 }
 
 impl SegmentTable {
-    /// Table without classes.
+    /// Table without classes, with which no ray leaps.
     pub const EMPTY: Self = Self {
         entries: Vec::new(),
         first_visible: 1,

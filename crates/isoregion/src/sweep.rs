@@ -232,7 +232,7 @@ fn bits_from(bits: &[u64], at: usize) -> u64 {
     }
 }
 
-/// Return the number of consecutive set bits from `at` on, up to 255.
+/// Return the number of consecutive set bits of `bits` from position `at` on, up to 255.
 #[inline(always)]
 fn ones_from(bits: &[u64], at: usize) -> u8 {
     let mut count = 0;
@@ -246,7 +246,7 @@ fn ones_from(bits: &[u64], at: usize) -> u8 {
     count.min(255) as u8
 }
 
-/// Return the number of consecutive set bits directly before `at`, up to 255.
+/// Return the number of consecutive set bits of `bits` directly before position `at`, up to 255.
 #[inline(always)]
 fn ones_before(bits: &[u64], at: usize) -> u8 {
     let set = |n: &usize| bits[n / 64] >> (n % 64) & 1 == 1;

@@ -62,7 +62,7 @@ impl Buckets {
         self.front << self.span_log2
     }
 
-    /// Return the number of the bucket to which a cost belongs.
+    /// Return the number of the queue's bucket to which a cost belongs.
     pub(crate) const fn bucket_of(&self, cost: u64) -> u64 {
         cost >> self.span_log2
     }

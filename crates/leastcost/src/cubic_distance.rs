@@ -94,7 +94,7 @@ pub fn ball_distances_mm(
     found
 }
 
-/// Set the squared distances along one row.
+/// Set the squared distances of the voxels along one row.
 fn along_row(row: &mut [f32], inside: &[bool]) {
     let mut steps = f32::INFINITY;
     for (value, &is_inside) in row.iter_mut().zip(inside) {

@@ -15,7 +15,7 @@ use carina_grid::{Grid, length};
 use crate::TrackError;
 use crate::dijkstra::least_costs_by;
 
-/// Number of the cell of the voxel itself among the 27 cells.
+/// Number of the voxel itself among the 27 voxels of its neighbourhood.
 pub(crate) const HERE: usize = 13;
 
 /// Number of quanta of the cheapest step with a cost above 0.
@@ -59,7 +59,7 @@ struct Weights {
     num_open: usize,
 }
 
-/// Number of weights that are compared at once.
+/// Number of weights that are compared at once in a vector register.
 const LANES: usize = 16;
 /// Number of weights that are summarised before rare cases among them get a second pass, in the nearest cache.
 const PIECE: usize = 4096;
@@ -274,7 +274,7 @@ impl<'a> VoxelField<'a> {
         self.values[self.place(node)]
     }
 
-    /// Return the index of a node's voxel in the volume's arrays.
+    /// Return the index in the volume's arrays of the voxel of a node.
     fn place(&self, node: u32) -> usize {
         let [i, j, k] = self.voxel(node);
         self.row(j, k) + i
@@ -451,11 +451,13 @@ impl StepCost for MeanCost {
 pub struct Quanta<C> {
     /// Path cost that one quantum represents: a weight, or a weight times a length in mm.
     pub unit: f64,
-    /// Number of quanta per weight for each of the 27 cells, in rows of three; lane 3 of each row of 4 is unused.
+    /// Quanta that a step costs per unit of weight, for each of the 27 voxels of the neighbourhood in rows of three.
+    ///
+    /// The fourth item of each row is unused: it fills a vector register of four lanes.
     pub(crate) scale: [[f32; 4]; 9],
     pub(crate) cheapest: f32,
     pub(crate) dearest: f32,
-    /// Smallest weight above 0 of the field.
+    /// Smallest weight above 0 in the field.
     pub(crate) least: f32,
     /// Number of open voxels of the field.
     pub num_open: usize,

@@ -12,7 +12,9 @@ use crate::field_state::{FieldTracker, MAX_QUANTA, Touch};
 /// Number of queue entries by which the prefetch of an entry's memory precedes its settling.
 const AHEAD: usize = 6;
 
-/// Flag of the stored step to a node that was first reached from the front bucket.
+/// Flag in the stored step of a node that was first reached from the front bucket (the queue's bucket of least cost).
+///
+/// While the flag is set, another path of equal cost may still replace the step.
 const TOUCHED: u8 = 1 << 7;
 
 impl<C: StepCost> FieldTracker<C> {

@@ -14,18 +14,18 @@ pub(crate) struct Layout {
     by_slice: Divisor,
     /// Index in the volume's arrays of the first voxel of the search box.
     first: usize,
-    /// Distance between successive rows of the volume's arrays.
+    /// Difference between the indices of successive rows in the volume's arrays.
     volume_row: usize,
-    /// Distance between successive slices of the volume's arrays.
+    /// Difference between the indices of successive slices in the volume's arrays.
     volume_slice: usize,
     pub(crate) num_values: usize,
     /// Difference between the node number of each of the 27 cells and that of the voxel.
     pub(crate) node_step: [isize; 27],
     /// Difference between the index of each of the 27 cells and that of the voxel, in the volume's arrays.
     pub(crate) value_step: [isize; 27],
-    /// Number of bits of a row of the search box including its rim.
+    /// Number of bits for a row of the search box with one more voxel at each end.
     bits_of_row: usize,
-    /// Number of rows of a slice of the search box including its rim.
+    /// Number of rows for a slice of the search box with one more row at each end.
     rows_of_slice: usize,
 }
 
@@ -210,8 +210,8 @@ pub(crate) fn fresh<T: Copy + Default>(len: usize) -> Vec<T> {
         let inside = first.next_multiple_of(PAGE);
         let len = (size_of_val(zeros.as_slice()) - (inside - first)) / PAGE * PAGE;
         // SAFETY: the range consists of whole pages inside the vector's own memory; the advice changes only the page
-        // size, never the contents. If the system rejects the advice, nothing changes. (`cargo bench --bench field`: a
-        // neighbourhood covers 9 small pages.)
+        // size, never the contents. If the system rejects the advice, nothing changes. Large pages are faster, because
+        // the 27 voxels of a neighbourhood are in 9 small pages (`cargo bench --bench field`).
         unsafe { libc::madvise(inside as *mut libc::c_void, len, libc::MADV_HUGEPAGE) };
     }
     zeros

@@ -36,7 +36,7 @@ pub struct FieldTracker<C: StepCost> {
     /// The value is 0 for a voxel that no path has reached, so zeroed memory needs no initialisation.
     pub(crate) left: Vec<i32>,
     pub(crate) queue: Buckets,
-    /// Buffer that [`FieldTracker::touch`] uses.
+    /// Reused buffer of [`FieldTracker::touch`] for the nodes that it changed.
     pub(crate) touched: Vec<Touch>,
     /// Nodes first reached from the front bucket; they are closed when that bucket is empty.
     pub(crate) closing: Vec<u32>,

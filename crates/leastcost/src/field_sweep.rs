@@ -28,11 +28,11 @@ use crate::field_tile::{ACROSS, Buffer, Settle, Steps, SweepBuffer, TILE, prefet
 struct Tile {
     /// One bit (8 k + j) for each row of the tile, set if a cost in the row has decreased since the last sweep.
     rows: u64,
-    /// Lowest of the costs that have decreased since the last sweep, quanta.
+    /// Lowest of the tile's costs that have decreased since the tile's last sweep, quanta.
     least: u32,
     /// Number of voxels of the tile that had been reached after its last sweep.
     num_reached: u16,
-    /// Whether the tile was swept after its steps were last written.
+    /// Whether the tile was swept again after the steps to its voxels were written.
     stale: bool,
 }
 
@@ -47,7 +47,7 @@ pub(crate) struct Sweep {
     pub(crate) num_reached: usize,
     /// Largest cost in quanta to which the cost of a further step can be added without overflow.
     most: u32,
-    /// Whether a cost above `most` was written to a voxel.
+    /// Whether a cost above `most` was written to a voxel, so that the search fails.
     beyond: bool,
 }
 

@@ -33,7 +33,7 @@ pub enum Terrain {
 /// Node that represents a point of the volume, and its distance from the point's voxel.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Place {
-    /// Node that represents the point.
+    /// Number of the graph's node that represents the point.
     pub node: u32,
     /// Voxel of the unpruned graph that contains the point, or the lumen voxel nearest to it.
     pub voxel: [usize; 3],

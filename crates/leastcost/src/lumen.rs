@@ -266,7 +266,7 @@ impl LumenGraph {
         }))
     }
 
-    /// Return the length in mm of an offset between voxels.
+    /// Return the length in mm of an offset between two voxels.
     #[must_use]
     pub fn step_mm(&self, offset_ijk: [isize; 3]) -> f64 {
         length(self.lps_from_ijk.vector(offset_ijk.map(|v| v as f64)))

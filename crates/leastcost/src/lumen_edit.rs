@@ -29,7 +29,9 @@ pub struct Edited {
     pub graph: LumenGraph,
     /// For each node before the edit, its node after the edit; `NO_NODE` if its voxel was removed.
     pub new_of_old: Vec<u32>,
-    /// Nodes after the edit that are new, or whose edges or distance to the wall changed.
+    /// Nodes of the graph after the edit whose paths must be computed again.
+    ///
+    /// These nodes are new, or their edges or distance to the wall changed.
     pub dirty: Vec<u32>,
     /// Box round the nodes whose distance to the wall changed and round the added and removed voxels; `None` without
     /// changes.

@@ -87,7 +87,7 @@ pub fn numbered_parts(
     (numbers, num_parts as usize)
 }
 
-/// Append the runs of one row.
+/// Append the runs (maximal rows of consecutive mask voxels) of one row to `runs`.
 fn append_runs(row: &[bool], runs: &mut Vec<Run>) {
     let mut at = 0;
     while let Some(skipped) = row[at..].iter().position(|&is_inside| is_inside) {
@@ -125,7 +125,7 @@ fn join(
     }
 }
 
-/// Return the root of a run, and halve the path to it.
+/// Return the run that represents the connected component of a run, and halve the path to it.
 fn root(parents: &mut [u32], mut run: u32) -> u32 {
     while parents[run as usize] != run {
         let above = parents[run as usize];

@@ -105,7 +105,7 @@ pub enum Reading {
 /// Departure from the paper: metal or contrast medium determines the largest gradient of a volume, and relative to it
 /// walls would cost nearly nothing.
 pub const CLIPPED_SHARE: f64 = 0.999;
-/// Number of bins of the histogram from which the quantile is computed.
+/// Number of bins of the histogram from which a quantile of the gradient is computed.
 const NUM_BINS: usize = 1 << 14;
 
 impl Reading {

@@ -268,11 +268,11 @@ struct BucketQueue {
     entries: Vec<(u32, u32)>,
     free: u32,
     num_open: usize,
-    /// Cost of the bucket that is being emptied.
+    /// Cost of the nodes in the bucket that is being emptied.
     front: u64,
 }
 
-/// Entry number that marks the absence of an entry.
+/// Number of an entry that marks the end of a bucket's list.
 const END: u32 = u32::MAX;
 
 impl BucketQueue {

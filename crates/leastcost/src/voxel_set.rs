@@ -11,7 +11,7 @@ use crate::distance::VoxelBox;
 pub(crate) struct VoxelSet {
     voxel_box: VoxelBox,
     words: Vec<u64>,
-    /// Number of members before each 64-bit word.
+    /// Number of members of the set in the 64-bit words before each word.
     before: Vec<u32>,
 }
 

@@ -16,7 +16,7 @@ struct Near {
     squared_mm2: f64,
 }
 
-/// Entry of a position without any voxel outside.
+/// Value for a position of which no voxel outside the lumen is known.
 const NOTHING: Near = Near {
     site: NO_SITE,
     squared_mm2: f64::INFINITY,

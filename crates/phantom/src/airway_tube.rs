@@ -19,7 +19,7 @@ pub enum TubeKind {
 /// Ground truth of a tube in the trachea.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct TubeTruth {
-    /// Route of the tube.
+    /// Route on which the tube enters the trachea.
     pub kind: TubeKind,
     /// Centre of the tube's open end in the trachea, LPS mm.
     pub tip_lps: [f64; 3],
@@ -45,11 +45,11 @@ pub(crate) struct AirwayTube {
 const CUFF_MM: [f64; 2] = [16.0, 24.0];
 /// Smallest and largest height of the column of fluid on the cuff, mm.
 const FLUID_MM: [f64; 2] = [5.0, 12.0];
-/// Value of the radio-opaque line in the tube's wall, HU.
+/// CT value of the radio-opaque line in the tube's wall, HU.
 const LINE_HU: f64 = 1500.0;
 /// Half of the width of the radio-opaque line in the tube's wall, mm.
 const HALF_LINE_MM: f64 = 0.6;
-/// Value of the fluid on the cuff, HU.
+/// CT value of the fluid on the cuff, HU.
 const FLUID_HU: f64 = 12.0;
 
 impl AirwayTube {

@@ -15,7 +15,7 @@ pub struct Branch {
     pub parent: Option<usize>,
     /// Ids of the branches that start at the end of this branch.
     pub children: Vec<usize>,
-    /// Number of forks from the trachea, whose generation is 0.
+    /// Number of forks between the trachea and this branch; 0 for the trachea.
     pub generation: usize,
     /// Name of the branch; `None` beyond the segments.
     pub name: Option<&'static str>,
@@ -44,7 +44,7 @@ impl Branch {
         self.radius_mm[self.radius_mm.len() - 1]
     }
 
-    /// Return the length of the centreline, mm.
+    /// Return the length of the branch's centreline, mm.
     #[must_use]
     pub fn length_mm(&self) -> f64 {
         self.points
@@ -81,7 +81,7 @@ fn wall_mm(radius: f64) -> f64 {
     0.4 + 0.15 * radius
 }
 
-/// Smallest distance between the walls of unrelated branches, mm.
+/// Least distance between the walls of branches that do not meet, mm.
 const GAP_MM: f64 = 0.8;
 /// Smallest distance of subsegments from the pleura, in addition to their own radius and wall, mm.
 const PLEURA_MM: f64 = 2.5;

@@ -70,7 +70,7 @@ pub(crate) struct Surfaces {
 }
 
 impl Surfaces {
-    /// Return the distance to the nearest surface at which the tissue changes, mm.
+    /// Return the distance in mm to the nearest surface at which the tissue changes.
     pub(crate) fn nearest(&self) -> f64 {
         // The muscle of the chest wall has surfaces 18 mm and 22 mm outside the cavity; fat begins 2 mm and muscle 12
         // mm under the skin.
@@ -148,7 +148,7 @@ impl Body {
         s
     }
 
-    /// Return the distance to the skin.
+    /// Return the signed distance of a point from the skin.
     fn skin(&self, p: [f64; 3]) -> f64 {
         match &self.neck {
             Some(neck) if p[2] > 60.0 => {
@@ -159,7 +159,7 @@ impl Body {
         }
     }
 
-    /// Return the distance to the spine.
+    /// Return the signed distance of a point from the spine.
     fn spine(&self, p: [f64; 3]) -> f64 {
         if self.neck.is_none() || p[2] <= 60.0 {
             return spine(p);

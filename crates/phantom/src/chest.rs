@@ -22,7 +22,7 @@ const HI_LPS: [f64; 3] = [172.0, 122.0, TOP_Z];
 /// Height z of the top of a chest's box without a neck, LPS mm.
 const TOP_Z: f64 = 110.0;
 
-/// Options of a phantom chest.
+/// Options with which a phantom chest is generated.
 #[derive(Debug, Clone, PartialEq)]
 #[allow(
     clippy::struct_excessive_bools,
@@ -35,9 +35,9 @@ pub struct ChestOptions {
     pub spacing_mm: [f64; 3],
     /// Generation below which airways divide (trachea 0), 3 to 9.
     pub generations: usize,
-    /// Whether one central bronchus is narrowed.
+    /// Whether one central bronchus of the chest is narrowed.
     pub stenosis: bool,
-    /// Whether there is a nodule near a peripheral airway.
+    /// Whether the chest contains a nodule near a peripheral airway.
     pub nodule: bool,
     /// Standard deviation of the noise, 0 to 200 HU.
     pub noise_hu: f64,
@@ -77,10 +77,10 @@ impl Default for ChestOptions {
     }
 }
 
-/// Narrowing of one airway.
+/// Stenosis: narrowing of one airway of the phantom.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Stenosis {
-    /// Id of the narrowed airway.
+    /// ID of the narrowed airway.
     pub branch_id: usize,
     /// Point of the centreline at the narrowest position, LPS mm.
     pub centre_lps: [f64; 3],
@@ -97,7 +97,7 @@ pub struct Stenosis {
 pub struct Chest {
     /// Grid of the chest's voxels.
     pub grid: Grid,
-    /// Values of the voxels in HU, x fastest.
+    /// CT values of the voxels in HU, x fastest.
     pub hu: Vec<i16>,
     /// Mask of the lumen: 1 for a voxel whose centre is inside an airway's lumen.
     pub lumen: Vec<u8>,
@@ -107,7 +107,7 @@ pub struct Chest {
     ///
     /// The value is 5 or more where no airway is near. The field is `None` unless requested.
     pub lumen_distance_mm: Option<Vec<f32>>,
-    /// Ground truth of the airways.
+    /// Airways of the chest: the ground truth for a search.
     pub tree: AirwayTree,
     /// Ground truth of the nodule; `None` without a nodule.
     pub nodule: Option<Nodule>,

@@ -10,7 +10,7 @@ use crate::body::lung_distance;
 use crate::random::Random;
 use crate::shapes::{Piece, along, direction, hermite, mix, normals, sub, tilted};
 
-/// End of a vessel that may divide further, with its direction and radius.
+/// Open end of a vessel of the phantom during its construction: a further vessel may begin there.
 struct End {
     at: [f64; 3],
     dir: [f64; 3],
@@ -21,7 +21,7 @@ struct End {
 /// Radius in mm below which vessels are not drawn, because they are part of the lung's texture.
 const THINNEST_MM: f64 = 0.5;
 
-/// Return the pieces of all vessels of the lungs.
+/// Return the pieces (straight tubes) of all vessels of the lungs.
 pub(crate) fn vessels(seed: u64, tree: &AirwayTree) -> Vec<Piece> {
     let mut pieces = Vec::new();
     let mut ends = arteries(tree, &mut pieces);

@@ -17,13 +17,13 @@ const BLUR_MM: f64 = 1.88 * SIGMA_MM;
 const SAMPLE_MM: f64 = 0.6;
 /// Approximate edge length of a brick in mm, for any spacing, so that lists stay short on coarse grids.
 const BRICK_MM: f64 = 7.0;
-/// Value of air, HU.
+/// CT value of air, HU.
 const AIR_HU: f64 = -1000.0;
-/// Value of an airway's wall, HU.
+/// CT value of an airway's wall, HU.
 const WALL_HU: f64 = 38.0;
-/// Value of a vessel, HU.
+/// CT value of a vessel, HU.
 const VESSEL_HU: f64 = 46.0;
-/// Value of a nodule, HU.
+/// CT value of a nodule, HU.
 const NODULE_HU: f64 = 34.0;
 
 /// Distance in radii from the centre to the chord that cuts the back off the trachea's round section (membranous wall).
@@ -125,7 +125,7 @@ impl<'a> Bricks<'a> {
         }
     }
 
-    /// Return the number of the brick that contains a voxel.
+    /// Return the number of the brick that contains the voxel at these indices.
     fn at(&self, ijk: [usize; 3]) -> usize {
         let [x, y, z]: [usize; 3] = std::array::from_fn(|a| ijk[a] / self.size[a]);
         (z * self.num[1] + y) * self.num[0] + x

@@ -1,6 +1,6 @@
 //! Front-to-back compositing of the samples of one ray.
 
-/// Value of `hit` for a ray that meets no wall.
+/// Value of [`Gathered::hit`] for a ray that meets no wall.
 pub(crate) const NO_HIT: f32 = -1.0;
 
 /// Colour, transparency and first wall that a ray has accumulated so far.
@@ -17,7 +17,7 @@ pub struct Gathered {
 }
 
 impl Gathered {
-    /// State of a ray before its first sample.
+    /// Colour and transparency of a ray before its first sample.
     pub(crate) const NOTHING: Self = Self {
         rgb: [0.0; 3],
         transparency: 1.0,

@@ -14,7 +14,7 @@ pub const CHANNELS: usize = 8;
 /// Anatomical data of airway walls on a coarse grid; zeros where there is no wall.
 #[derive(Debug, Clone, Copy)]
 pub struct Decoration<'a> {
-    /// Values of the cells, two items of four numbers per cell, x fastest.
+    /// Anatomical data of the decoration's cells, two items of four numbers per cell, x fastest.
     pub(crate) cells: &'a [[f32; 4]],
     pub(crate) shape_ijk: [i32; 3],
     pub(crate) origin_lps: [f32; 3],

@@ -21,7 +21,7 @@ const WIDEST_PART: f32 = 1.0 / 32.0;
 /// Radius that marks a pixel without a ray, which is not part of the picture.
 const NO_RAY: f32 = -1.0;
 
-/// Range of distances from the scope's tip that is in focus, mm.
+/// Range of distances from the scope's tip, mm, that the picture shows sharply.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Focus {
     /// Nearest distance that is in focus, mm.

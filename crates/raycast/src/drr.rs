@@ -13,7 +13,7 @@ use rayon::prelude::*;
 
 use crate::{InstructionSet, RaycastError, plane::check_size};
 
-/// Number of rays that are cast together.
+/// Number of rays that are cast together, one in each lane of the registers.
 const LANES: usize = 16;
 
 /// Attenuation of a voxel value `v`, in thousandths of water: `max(v - air, 0) + bone_gain max(v - bone, 0)`.
@@ -51,7 +51,7 @@ struct Packet {
     c1: [f32; LANES],
 }
 
-/// Packet without any ray.
+/// Packet without any ray, with which arrays are initialised.
 const NOTHING: Packet = Packet {
     from: [1.0; LANES],
     to: [0.0; LANES],
@@ -274,7 +274,7 @@ impl<'a> Caster<'a> {
     }
 }
 
-/// Range of voxels on one axis within which planes are interpolated.
+/// Range of voxels along one axis in which both neighbours for the interpolation exist.
 #[derive(Clone, Copy)]
 struct Cells {
     last: f32,

@@ -15,9 +15,9 @@ pub enum RaycastError {
     Setting {
         /// Name of the rejected setting.
         what: &'static str,
-        /// Values that the setting may have.
+        /// Description of the values that the setting may have.
         expected: String,
-        /// Value that the setting has.
+        /// Description of the value that was passed.
         found: String,
     },
     /// A grid or a camera is not valid.

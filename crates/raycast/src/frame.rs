@@ -24,7 +24,7 @@ pub enum Interpolation {
 /// Interpolation, lighting and background of a picture.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct FrameOptions {
-    /// Interpolation of the samples.
+    /// Interpolation of the volume's values at samples between voxels.
     pub interpolation: Interpolation,
     /// Light at the tip; `None` for the unshaded colours of the transfer function.
     pub light: Option<Light>,
@@ -58,7 +58,7 @@ pub struct Frame<'a> {
     pub(crate) guard_vox: f32,
     /// Transparency below which a ray stops.
     pub(crate) stop: f32,
-    /// Whether rays leap even if a trial shows that brute force is faster.
+    /// Whether rays leap even if the trial rays of a picture show that brute force is faster.
     pub(crate) always_leap: bool,
     /// Cache of wall normals from earlier pictures of the volume.
     pub(crate) bricks: Option<Arc<NormalBricks>>,
@@ -239,7 +239,7 @@ impl<'a> Frame<'a> {
         self.options.light.is_some()
     }
 
-    /// Return the camera.
+    /// Return the camera of the picture.
     #[must_use]
     pub const fn camera(&self) -> &Camera {
         &self.camera

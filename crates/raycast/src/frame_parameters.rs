@@ -10,7 +10,7 @@ pub const fn paying_leap(nearest: bool) -> u32 {
     Price::of(CastStats::sample_loads(nearest), 1).pays
 }
 
-/// Parameters of a [`Frame`] as the casters of this crate use them.
+/// Parameters of a [`Frame`] in voxel coordinates, in which the casters step along rays without further transforms.
 #[derive(Debug, Clone, PartialEq)]
 pub struct FrameParameters<'a> {
     /// Transform from directions in camera space (mm) to voxels.

@@ -11,7 +11,7 @@ use crate::{
     leap::{self, Start},
 };
 
-/// Number of trial rays along each side of the picture.
+/// Number of rows, and of columns, of the trial rays that are spread over the picture.
 const TRIAL_SIDE: usize = 8;
 /// Number of pixels below which a picture is cast with leaps without a trial.
 const MIN_PIXELS: usize = 64 * TRIAL_SIDE * TRIAL_SIDE;

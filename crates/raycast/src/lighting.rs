@@ -18,7 +18,7 @@ pub(crate) struct Lighting {
     /// Map from patient space to the CT at rest: matrix and offset in mm; `None` if the tissue is at rest.
     pub rest_from_lps: Option<([[f32; 3]; 3], [f32; 3])>,
     pub camera_from_lps: [[f32; 3]; 3],
-    /// Positions of the light guides relative to the camera's centre, LPS mm.
+    /// Positions of the scope's light guides relative to the camera's centre, LPS mm.
     pub guides: [[f32; 3]; 2],
     /// Width of a pixel in the middle of the picture at a distance of 1 mm from the camera, mm.
     pub pixel_mm: f32,

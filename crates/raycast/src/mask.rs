@@ -2,7 +2,7 @@
 
 use rayon::prelude::*;
 
-/// Value of [`smoothed_mask`] deep inside the mask.
+/// Value that [`smoothed_mask`] has where all voxels around are in the mask.
 pub(crate) const FULL: i16 = 1024;
 
 /// Blur a mask (0 is outside) with the weights 1 2 1 along each axis to values in `0 ..= 1024`.

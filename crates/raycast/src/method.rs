@@ -24,7 +24,7 @@ pub enum Method<'a> {
 pub struct ClassMap<'a> {
     /// Label of each voxel, `[z, y, x]`; label 0 is never leaped.
     pub labels: &'a [u8],
-    /// Radius of the region of each voxel, `[z, y, x]`.
+    /// Half the side of the largest cube of one class around each voxel, `[z, y, x]`.
     pub radius: &'a [u8],
     /// Step table for the length of the ray steps of this picture.
     pub segments: &'a SegmentTable,
@@ -58,17 +58,17 @@ impl ValueMap<'_> {
 /// Counts of the work that a cast has done.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct CastStats {
-    /// Number of rays cast.
+    /// Number of rays that were cast.
     pub num_rays: u64,
     /// Number of samples read from the volume.
     pub num_samples: u64,
-    /// Number of look-ups in the radius map.
+    /// Number of reads of the radius map.
     pub num_lookups: u64,
-    /// Number of leaps.
+    /// Number of leaps of all rays.
     pub num_leaps: u64,
     /// Number of samples that leaps skipped.
     pub num_skipped: u64,
-    /// Number of shaded samples, for which a gradient was read.
+    /// Number of samples that were shaded, for each of which a gradient was read.
     pub num_shaded: u64,
     /// Number of reads of the volume and of the maps; see [`CastStats::with_loads`].
     pub num_loads: u64,

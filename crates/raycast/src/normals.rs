@@ -27,7 +27,7 @@ const HALF_CONTRAST_HU: f32 = 500.0;
 /// the air) do not influence the normal.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Normals {
-    /// Distance from the wall to the samples along each axis, voxels.
+    /// Distance in voxels, along each axis, from the wall to the samples from which its normal is computed.
     pub reach: [f32; 3],
     /// Lower and upper limit to which the sampled values are clamped.
     pub held: [f32; 2],

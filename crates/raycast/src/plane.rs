@@ -13,7 +13,7 @@ use crate::{
 /// Grey levels of a plane, `[row, column]`; 0 outside the volume.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct PlaneImage {
-    /// Grey level of each pixel.
+    /// Grey level of each pixel, 0 to 255, row by row.
     pub grey: Vec<u8>,
     /// Mask of the pixels: 1 if the pixel's centre is in the volume.
     pub inside: Vec<u8>,

@@ -5,7 +5,7 @@ use rayon::prelude::*;
 
 use crate::InstructionSet;
 
-/// Largest values of a volume along each grid axis, as three pictures.
+/// Maximum intensity projections of a volume along each grid axis, as three pictures.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Projections {
     /// Maximum along i of each line, `[k, j]`.
@@ -71,7 +71,7 @@ struct Slab<'a> {
 ///
 /// A value of the implementing type proves that the machine has these registers.
 trait Values: Copy {
-    /// Number of values in a register.
+    /// Number of int16 values in a register.
     const N: usize;
     /// Whether two rows are processed together with explicit prefetches.
     ///
@@ -246,7 +246,7 @@ impl Slab<'_> {
     /// The image along k is in a slower cache than the rows, and is read once for all four slices.
     #[inline(always)]
     fn run<V: Values>(self, v: V) {
-        /// Number of slices that are projected together.
+        /// Number of slices that are projected together, so that the image along k is read once for all of them.
         const AT_ONCE: usize = 4;
         let [nj, ni] = self.shape_ji;
         let num_slices = self.along_i.len() / nj;
@@ -386,7 +386,7 @@ mod tests {
     use super::*;
     use carina_grid::{Affine, Grid};
 
-    // Registers that every machine has, used in the same way as the largest ones.
+    // SSE2, which every x86-64 processor has, with prefetching, so that each machine can test the prefetching code.
     #[cfg(target_arch = "x86_64")]
     registers!(
         Prefetching,

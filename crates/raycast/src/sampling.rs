@@ -11,7 +11,7 @@ pub struct Field<'a> {
     pub(crate) data: &'a [i16],
     /// Largest coordinate of a voxel per axis, `n - 1`; coordinates are clamped to `0 ..= last`.
     pub(crate) last: Lanes,
-    /// Largest lower corner of a cell per axis, `max(n - 2, 0)`.
+    /// Largest index of a cell's lower corner on each axis: `max(n - 2, 0)`.
     pub(crate) last_cell: [i32; 4],
     /// Distance in memory to the next voxel; 0 on an axis of one voxel, so that its second corner is its first.
     pub(crate) stride: [usize; 3],
@@ -24,7 +24,7 @@ pub(crate) struct Cell {
     ijk: [i32; 4],
     /// Index in memory of the voxel at the lower corner.
     base: usize,
-    /// Position in the cell, 0 to 1 on each axis.
+    /// Position of a point in its cell, 0 to 1 on each axis.
     t: Lanes,
 }
 
@@ -39,13 +39,13 @@ fn lerp_ints(t: f32, a: i32, b: i32) -> f32 {
     t.mul_add((b - a) as f32, a as f32)
 }
 
-/// Return the first voxel of a pair of int16 in an i32.
+/// Return the first of the two voxels that an i32 holds.
 #[inline(always)]
 const fn low(pair: i32) -> i32 {
     pair << 16 >> 16
 }
 
-/// Return the second voxel of a pair of int16 in an i32.
+/// Return the second of the two voxels that an i32 holds.
 #[inline(always)]
 const fn high(pair: i32) -> i32 {
     pair >> 16
@@ -104,7 +104,7 @@ impl<'a> Field<'a> {
         ijk[0] as usize + ijk[1] as usize * self.stride[1] + ijk[2] as usize * self.stride[2]
     }
 
-    /// Return the value of the voxel at an index in memory.
+    /// Return the value of a voxel, given its index in memory.
     #[inline(always)]
     fn at(&self, index: usize) -> i32 {
         debug_assert!(index < self.data.len());
@@ -208,7 +208,7 @@ impl<'a> Field<'a> {
         (self.index(ijk), ijk.map(|v| v as f32 + 0.5))
     }
 
-    /// Return the value of a voxel that [`Self::nearest`] found.
+    /// Return the value of the voxel whose index [`Self::nearest`] returned.
     #[inline(always)]
     pub(crate) fn voxel(&self, index: usize) -> i16 {
         self.data[index]

@@ -3,24 +3,24 @@
 //! [`shared_constants!`] defines the constants of a module and lists them, so that a shader gets the numbers of this crate
 //! and no copy of them.
 
-/// Value of a constant that is shared with shaders.
+/// Value of a constant that the casters of this crate share with the shaders of the GPU.
 #[derive(Debug, Clone, PartialEq)]
 pub enum SharedValue {
-    /// Number.
+    /// Number with a fraction.
     Float(f32),
-    /// Whole number, 0 or more.
+    /// Integer of 0 or more.
     Unsigned(u32),
-    /// Whole number.
+    /// Integer that may be negative.
     Signed(i32),
-    /// Two or three numbers.
+    /// Vector of two or three numbers.
     Vector(Vec<f32>),
-    /// Two or three whole numbers.
+    /// Vector of two or three integers.
     SignedVector(Vec<i32>),
     /// Rows of two or three numbers.
     Rows(Vec<Vec<f32>>),
 }
 
-/// Name and value of a constant of the shading.
+/// Name in the shaders, and value, of a constant of the shading.
 pub type SharedConstant = (&'static str, SharedValue);
 
 /// Conversion of a constant to a [`SharedValue`].

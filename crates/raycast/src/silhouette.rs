@@ -42,9 +42,9 @@ shared_constants! {
     const EDGE_WRAP: f32 = 0.6;
 }
 
-/// Number of rows in which silhouettes are searched together.
+/// Number of rows in which one task searches for silhouette pixels.
 const ROWS_AT_A_TIME: usize = 16;
-/// Number of silhouette pixels that are cast together.
+/// Number of silhouette pixels that one task casts.
 const PIXELS_AT_A_TIME: usize = 256;
 
 /// Depths of the first walls of some rows, in ray steps, with the rows before and after them if the picture has them.

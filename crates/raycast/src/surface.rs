@@ -19,7 +19,7 @@ use crate::{
 /// First wall of a ray: the point where the remaining transparency falls below one half.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Hit {
-    /// Distance of the wall from the camera's centre along the ray, mm.
+    /// Distance in mm of the wall from the camera's centre, along the ray of the pixel.
     pub depth_mm: f32,
     /// Position of the wall, LPS mm.
     pub position_lps: [f64; 3],

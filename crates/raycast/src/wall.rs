@@ -11,11 +11,11 @@ use crate::{RaycastError, mask::FULL};
 /// behind that shell.
 #[derive(Debug, Clone, Copy)]
 pub struct WallHeights<'a> {
-    /// Values to write in the lumen.
+    /// Voxel values for the lumen, by the smoothed lumen from 0 to 1024.
     pub lumen: &'a [i16],
-    /// Values to write in the shell round the lumen.
+    /// Voxel values for the shell (the voxels next to the lumen), by the smoothed lumen from 0 to 1024.
     pub shell: &'a [i16],
-    /// Values to write behind the shell.
+    /// Voxel values for the backing (the voxels behind the shell), by the smoothed lumen from 0 to 1024.
     pub backing: &'a [i16],
 }
 

@@ -11,13 +11,13 @@ use crate::{
 /// Anatomical data of airway walls, as the shading reads them.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct WallDecoration<'a> {
-    /// Values of the cells, two items of four numbers per cell, x fastest.
+    /// Anatomical data of the decoration's cells, two items of four numbers per cell, x fastest.
     pub cells: &'a [[f32; 4]],
-    /// Number of cells along x, y and z.
+    /// Number of cells of the decoration along x, y and z.
     pub shape: [i32; 3],
-    /// Position of the first cell's centre, LPS mm.
+    /// Position of the centre of the decoration's first cell, LPS mm.
     pub origin_lps: [f32; 3],
-    /// Number of cells per mm.
+    /// Number of cells of the decoration per mm.
     pub cells_per_mm: f32,
 }
 
@@ -44,13 +44,13 @@ pub struct WallLighting<'a> {
     pub held: [f32; 2],
     /// Matrix from slopes to inward normals in LPS.
     pub inward: [[f32; 3]; 3],
-    /// Factor from slopes to the whole numbers that are interpolated between voxels.
+    /// Factor from slopes to the integers that are stored in bricks and interpolated between voxels.
     pub slope_scale: f32,
-    /// Factor from these whole numbers to slopes.
+    /// Factor from these integers back to slopes.
     pub slope_unit: f32,
     /// Number of bricks of the volume along each axis.
     pub num_bricks: [usize; 3],
-    /// Largest number of bricks that are stored.
+    /// Capacity of the cache of bricks.
     pub most_bricks: usize,
     /// Anatomical data; `None` without decoration from the airway tree.
     pub decoration: Option<WallDecoration<'a>>,

@@ -17,9 +17,9 @@ type Point = [f64; 3];
 const TIP_TOLERANCE_MM: f64 = 0.02;
 /// Largest penetration of the wall by the shaft with which a movement is accepted, mm; the specified limit is 0.5 mm.
 const SHAFT_TOLERANCE_MM: f64 = 0.15;
-/// Smallest number of sweeps of one relaxation.
+/// Smallest number of sweeps over the nodes in one relaxation of the scope's axis.
 const MIN_SWEEPS: usize = 3;
-/// Largest number of sweeps of one relaxation.
+/// Number of sweeps after which a relaxation of the scope's axis ends, also if nodes still move.
 const MAX_SWEEPS: usize = 36;
 /// Number of sweeps within which the penetration must fall by half; otherwise the relaxation ends, as the scope does
 /// not fit.
@@ -43,7 +43,7 @@ pub(crate) struct Controls {
 /// The last two nodes are behind the entry and have prescribed positions.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Axis {
-    /// Positions of the nodes, LPS mm.
+    /// Positions of the nodes of the scope's axis, LPS mm.
     pub(crate) nodes: Vec<Point>,
 }
 

@@ -21,12 +21,12 @@ const TANGENT_SIGMA_MM: f64 = 2.0;
 /// Largest length of a path, mm, longer than any patient; a longer path is invalid and would need unlimited memory.
 const MAX_LENGTH_MM: f64 = 20_000.0;
 
-/// Position on a curve that is nearest to a point.
+/// Point of a curve that is nearest to a given point.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Nearest {
-    /// Position on the curve, in mm along the polyline of the curve.
+    /// Position of the nearest point, in mm along the polyline of the curve.
     pub path_mm: f64,
-    /// Distance of the point from the curve, mm.
+    /// Distance in mm of the given point from the curve.
     pub distance_mm: f64,
 }
 
@@ -146,7 +146,7 @@ impl FlightCurve {
         self.length_mm
     }
 
-    /// Return the number of knots of the curve.
+    /// Return the number of knots of the curve's spline.
     #[must_use]
     pub const fn num_knots(&self) -> usize {
         self.frames.len()
@@ -157,7 +157,7 @@ impl FlightCurve {
         self.frames.iter().map(|f| f.column(3))
     }
 
-    /// Return the distance between the knots, in mm of the polyline.
+    /// Return the distance between the knots of the spline, in mm along the polyline.
     #[must_use]
     pub const fn step_mm(&self) -> f64 {
         self.step_mm

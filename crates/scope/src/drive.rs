@@ -14,11 +14,11 @@ use crate::wall::WallField;
 
 type Point = [f64; 3];
 
-/// Largest step of the insertion, mm.
+/// Largest insertion in mm of one simulated step; longer movements are divided.
 const STEP_MM: f64 = 0.5;
 /// Largest step of flexion and roll, radians; a bent tip of 50 mm then moves by about as much as in an insertion step.
 const STEP_RAD: f64 = 0.02;
-/// Largest distance between tip and wall that counts as contact, mm.
+/// Distance in mm between tip and wall up to which the tip is in contact with the wall.
 const TOUCH_MM: f64 = 0.1;
 /// Distance between tip and wall above which contact ends, mm.
 ///
@@ -31,7 +31,7 @@ const LOOK_AHEAD_MM: [f64; 4] = [1.0, 2.0, 3.0, 4.0];
 /// Reason why the scope did not follow the controls completely.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Limit {
-    /// The scope followed the controls.
+    /// The scope followed the controls completely.
     None,
     /// The requested insertion is before the entry, to which the scope is withdrawn.
     Entry,
@@ -48,7 +48,7 @@ pub enum Limit {
 /// Contact of the tip with the wall.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Contact {
-    /// Position on the wall, LPS mm.
+    /// Position of the contact on the wall, LPS mm.
     pub point_lps: Point,
     /// Unit vector away from the wall at this position, LPS.
     pub normal_lps: Point,
@@ -59,7 +59,7 @@ pub struct Contact {
 /// Summary of the contacts of the tip since the scope was placed.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct ContactRecord {
-    /// Number of contacts of the tip.
+    /// Number of contacts of the tip with the wall since the scope was placed.
     pub count: u64,
     /// Total time of contact of the tip, s.
     pub time_s: f64,
@@ -556,7 +556,7 @@ impl ScopeDrive {
     }
 }
 
-/// Distance between the points of a resampled path, mm.
+/// Distance in mm between the points of a resampled path.
 const PATH_STEP_MM: f64 = 0.25;
 /// Largest length of a path, mm: eight times the length of a scope. Points of a longer path would only use memory.
 const MAX_PATH_MM: f64 = 5_000.0;

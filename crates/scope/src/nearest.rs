@@ -10,7 +10,7 @@ use crate::axis::{along, sub};
 
 type Point = [f64; 3];
 
-/// Largest number of triangles of a leaf of the box tree.
+/// Largest number of triangles in a leaf of the tree of boxes.
 const LEAF: usize = 4;
 
 /// Return the nearest point of a triangle, and the feature of the triangle that contains this point.
@@ -57,7 +57,7 @@ pub(crate) struct Node {
     ///
     /// The left child of an inner node follows the node.
     pub(crate) first: u32,
-    /// Number of triangles of a leaf; 0 for an inner node.
+    /// Number of triangles in the leaf; 0 for an inner node.
     pub(crate) count: u32,
 }
 

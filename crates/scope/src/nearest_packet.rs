@@ -243,7 +243,7 @@ fn squared_to_edge<E: Vector8>(from: [E; 3], edge: [f32; 3], inverse: f32) -> E 
     x.times(x).plus(y.times(y)).plus(z.times(z))
 }
 
-/// Nearest triangle found so far, for each lane.
+/// Nearest triangle that the search has found so far for the point in each lane.
 struct Nearest<E> {
     distance: E,
     /// Number of the nearest triangle, stored as the bits of an f32.

@@ -19,13 +19,13 @@ const REACH_MM: f64 = 1.0;
 pub(crate) const BLOCKS: usize = 8;
 /// Number of groups of blocks of a brick on each axis; the parts of a block are chosen among those of its group.
 const GROUPS: usize = 4;
-/// Number of blocks of a group on each axis.
+/// Number of blocks of a group of blocks on each axis.
 const GROUP: usize = BLOCKS / GROUPS;
 /// Distance by which a part must surely be inferior to another part before a block leaves it out, mm.
 ///
 /// It exceeds the rounding errors of the distances, so that they stay the same bit for bit.
 const GUARD_MM: f64 = 1e-6;
-/// Entry of a brick that the tube does not reach.
+/// Value of the entry of a brick that the tube does not reach.
 const NO_BLOCK: u32 = u32::MAX;
 
 /// Part of a tube between two points of its axis.
@@ -38,7 +38,7 @@ struct Part {
     radius: f64,
     /// Increase of the radius along the part.
     more: f64,
-    /// Distance by which the sampled wall near the part is moved inwards, mm.
+    /// Distance in mm by which the sampled wall near this part of the tube is moved inwards.
     excess: f64,
     /// Increase of the excess along the part.
     more_excess: f64,
@@ -82,7 +82,7 @@ impl Part {
 
 /// Lattice of the wall field, as far as a tube needs it.
 pub(crate) trait Bricks {
-    /// Return the number of bricks on each axis.
+    /// Return the number of bricks of the wall field on each axis.
     fn num(&self) -> [usize; 3];
     /// Return the position of a point in bricks.
     fn position_in_bricks(&self, p_lps: [f64; 3]) -> [f64; 3];
@@ -96,7 +96,7 @@ pub(crate) trait Bricks {
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Tube {
     parts: Arc<Vec<Part>>,
-    /// Number of the first block of each brick, or [`NO_BLOCK`].
+    /// Number of each brick's first block, or [`NO_BLOCK`] for a brick that the tube does not reach.
     block_at: Arc<Vec<u32>>,
     /// Position in `near` of the first part of each block; one more entry marks the end.
     first: Arc<Vec<u32>>,
@@ -296,7 +296,7 @@ fn cells(num: usize) -> impl Iterator<Item = [usize; 3]> + Clone {
     (0..num * num * num).map(move |n| [n % num, n / num % num, n / num / num])
 }
 
-/// Return the number of a block in its brick.
+/// Return the number of a block among the blocks of its brick.
 const fn number(block: [usize; 3]) -> usize {
     (block[2] * BLOCKS + block[1]) * BLOCKS + block[0]
 }

@@ -4,7 +4,7 @@
     reason = "operations must become registers in the function that has them enabled"
 )]
 
-/// Number of f32 in a vector.
+/// Number of f32 that a vector holds.
 pub(crate) const LANES: usize = 8;
 
 /// Vector of eight f32, one per lane.
@@ -13,7 +13,7 @@ pub(crate) const LANES: usize = 8;
 pub(crate) trait Vector8: Copy {
     /// Create a vector from the values of its lanes.
     fn from_array(values: [f32; LANES]) -> Self;
-    /// Return the values of the lanes.
+    /// Return the values of all lanes as an array.
     fn to_array(self) -> [f32; LANES];
     fn plus(self, other: Self) -> Self;
     fn minus(self, other: Self) -> Self;

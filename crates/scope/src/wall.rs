@@ -13,9 +13,9 @@ use crate::tube::{BLOCKS, Bricks, Tube};
 
 /// Number of cells of a brick on each axis; a brick stores one more sample, so that a cell never needs two bricks.
 pub(crate) const CELLS: usize = 8;
-/// Number of samples of a brick on each axis.
+/// Number of samples of the distance in a brick on each axis.
 const SIDE: usize = CELLS + 1;
-/// Number of samples of a brick.
+/// Number of samples of the distance in a brick.
 pub(crate) const SAMPLES: usize = SIDE * SIDE * SIDE;
 /// Number of bytes of the transform and of the shape at the start of a serialised field.
 const HEAD_BYTES: usize = 8 * 15;
@@ -26,7 +26,7 @@ pub(crate) const OUTSIDE_MM: f64 = 2.5;
 pub(crate) const INSIDE_MM: f64 = 4.5;
 /// Number above which a number of type f64 has no fraction, 2^52.
 const WHOLE: f64 = 4_503_599_627_370_496.0;
-/// Entry of a brick that is far outside the lumen.
+/// Value of the entry of a brick that is far outside the lumen.
 const FAR_OUTSIDE: u32 = u32::MAX;
 /// Entry of a brick that is inside the lumen and far from the wall.
 const FAR_INSIDE: u32 = u32::MAX - 1;
@@ -59,9 +59,9 @@ impl Brick {
 pub struct WallField {
     lattice_from_lps: Affine,
     lps_from_lattice: Affine,
-    /// Number of samples of the lattice along i, j, k.
+    /// Number of samples of the wall field along i, j, k.
     shape_ijk: [usize; 3],
-    /// Position of the last sample along i, j, k.
+    /// Indices of the wall field's last sample along i, j, k.
     last_ijk: [f64; 3],
     num_bricks: [usize; 3],
     brick_at: Arc<Vec<u32>>,
@@ -584,7 +584,7 @@ impl Bricks for WallField {
     }
 
     fn least_mm(&self, brick: usize, block: [usize; 3]) -> f64 {
-        /// Number of cells of a block on each axis.
+        /// Number of cells between samples in a block, on each axis.
         const SIZE: usize = CELLS / BLOCKS;
         let stored = self.brick_at[brick];
         if stored >= FAR_INSIDE {

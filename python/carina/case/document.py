@@ -32,7 +32,7 @@ class Lesion:
 
     @property
     def nodule(self) -> Nodule:
-        """The lesion's shape and position."""
+        """Shape and position of the lesion that the plan aims at."""
         return self.target.nodule
 
 
@@ -67,7 +67,7 @@ class Target:
     lesion: Lesion | None = None
     """The lesion at the target; None for a target in the airways."""
     note: str = ""
-    """The user's note."""
+    """Note that the user wrote about the target; empty without one."""
     priority: int = 1
     """Priority of the target; 1 is the highest."""
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from carina.errors import VolumeImportError
 
 MAX_FOUND_CHARS = 120
-"""Largest number of characters of a file's content that a message quotes."""
+"""Number of characters to which a message shortens the content of a file that it quotes."""
 
 
 class CaseFileError(VolumeImportError):

@@ -562,7 +562,7 @@ class CaseFile:
             self._recording_table().order(recording_ids)
 
     def forget_recording(self, recording_id: int) -> None:
-        """Delete a recording."""
+        """Delete a recording from the case file."""
         with self._lock, convert_disk_errors(self.path):
             self._recording_table().forget(recording_id)
 

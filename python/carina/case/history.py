@@ -25,7 +25,7 @@ class Step(Generic[D]):
     label: str
     """Description of the change for the user."""
     document: D
-    """The document after the change."""
+    """The case's document after the change."""
     command: Command | None = None
     """The command that caused the change; None if it refers to this machine, or if no command caused the change."""
     at_s: float = 0.0
@@ -68,7 +68,7 @@ class History(Generic[D]):
 
     @property
     def position(self) -> int:
-        """Number of steps in effect; the steps after this number are undone."""
+        """Number of steps of the history that are in effect; the user has undone the steps after this number."""
         return self._position
 
     @property

@@ -14,7 +14,7 @@ TILE_BYTES = TILE**3 // 8
 
 
 def grid_of(shape_zyx: tuple[int, int, int]) -> tuple[int, int, int]:
-    """Return the number of tiles along z, y, x."""
+    """Return the number of tiles along z, y, x that cover a mask of a given shape."""
     nz, ny, nx = (-(-n // TILE) for n in shape_zyx)
     return nz, ny, nx
 

@@ -75,7 +75,7 @@ class StoredAirways(FoldedAirways):
         self.reader, self.row, self.base = reader, row, base
 
     def __repr__(self) -> str:
-        """Return the row number of the airways."""
+        """Return a text with the row number of the airways."""
         return f"StoredAirways(row={self.row})"
 
     def unfold(self) -> Airways:
@@ -99,7 +99,7 @@ class StoredMeasures:
         self.reader, self.row = reader, row
 
     def __repr__(self) -> str:
-        """Return the row number of the measures."""
+        """Return a text with the row number of the measures."""
         return f"StoredMeasures(row={self.row})"
 
     def load(self) -> TreeMeasures:
@@ -143,7 +143,7 @@ class CaseReader:
         self._grids: dict[int, PathGrid] = {}
         """Grids of path searches by number of parts of a voxel; trackers on one grid share its volume."""
         self._num_voxels: dict[int, int] = {}
-        """Number of lumen voxels of each lumen, by row number of the lumen."""
+        """Number of voxels of each stored lumen, by the row number of the lumen."""
         self._trackers: weakref.WeakValueDictionary[int, PathTracker] = weakref.WeakValueDictionary()
         self._trees: dict[int, tuple[tuple[Branch, ...], tuple[Note, ...]]] = {}
         self._whole: dict[int, Airways] = {}
@@ -223,7 +223,7 @@ class CaseReader:
         bounded_number(length_mm, "route", *LENGTH_MM)
 
     def airways_of(self, document: int) -> int | None:
-        """Return the row of a document's airways; None if the document has none."""
+        """Return the row number of a document's airways; None if the document has none."""
         row: int | None = self.columns("document", document)[0]
         return row
 

@@ -46,7 +46,7 @@ class RecordingFacts:
     """Number of the recording in its case, from 1; no two recordings of a case have the same number."""
     name: str
     words: str
-    """The user's note."""
+    """Note that the user wrote about the recording; empty without one."""
     begun_s: float
     """Start of the recording in seconds since the creation of the case."""
     length_s: float
@@ -169,7 +169,7 @@ class RecordingTable:
             raise damage_error(where, "UTF-8 text", "invalid bytes") from error
 
     def read(self, recording_id: int) -> Recording:
-        """Return a recording for replay."""
+        """Return a stored recording for replay."""
         return read_recording(io.StringIO(self.text(recording_id)), Path(f"recording {recording_id} of {self._path}"))
 
     def change(self, recording_id: int, *, name: str | None, words: str | None) -> None:
@@ -221,7 +221,7 @@ class RecordingTable:
                     )
 
     def forget(self, recording_id: int) -> None:
-        """Delete a recording."""
+        """Delete a recording from the case file."""
         self._update_row("DELETE FROM recording WHERE id = ?", (recording_id,), recording_id)
 
     def _update_row(self, sql: str, values: tuple[object, ...], recording_id: int) -> None:

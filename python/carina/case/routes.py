@@ -82,7 +82,7 @@ class ChosenRoute:
 
     @property
     def length_mm(self) -> float:
-        """Length of the route from root to end in mm."""
+        """Length of the route from the root of the tree to the end of the route, mm."""
         return float(self.cumulative_mm[-1])
 
 

@@ -93,7 +93,7 @@ TABLES: Final = {
 ) STRICT""",
 }
 SINCE: Final = {"sections": 2, "measured_branch": 2, "measures": 2}
-"""Schema version that introduced a table, by table name; tables that are not listed exist since version 1."""
+"""Version of the case file's schema that introduced a table, by table name; unlisted tables exist since version 1."""
 CONTENT: Final = (
     "value", "array", "branch", "tree", "tile", "lumen", "tracker", "airways", "sections", "measured_branch",
     "measures", "route", "document",

@@ -154,15 +154,15 @@ class AxisPermutation:
     """Order and direction of the axes of a case relative to those of a volume."""
 
     axes: tuple[int, int, int]
-    """Axis of the case for each axis i, j, k of the volume."""
+    """Index of the case's axis (0, 1 or 2) that runs along each axis i, j, k of the volume."""
     flipped: tuple[bool, bool, bool]
     """Whether each axis of the volume runs in the direction opposite to that of the case."""
     shape_zyx: tuple[int, int, int]
-    """Shape of the case's grid."""
+    """Numbers of voxels of the case's grid along k, j, i."""
 
     @property
     def is_identity(self) -> bool:
-        """Whether both grids have the same axes."""
+        """Whether the axes of the case and of the volume have the same order and direction."""
         return self.axes == (0, 1, 2) and not any(self.flipped)
 
     def array_in_volume_axes(self, array_zyx: NDArray[V]) -> NDArray[V]:

@@ -18,11 +18,11 @@ class Moment:
     """The complete state of a case at one time; its immutable parts are shared with the states at other times."""
 
     first: Document
-    """Document before all steps."""
+    """Document of the case before all steps of the history."""
     steps: tuple[Step[Document], ...]
     """Steps of the history, the oldest first, each with the document after it; steps beyond ``position`` are undone."""
     position: int
-    """Number of steps in effect."""
+    """Number of steps of the history that are in effect."""
     sight: Sight
     tip: dict[str, Any]
     """State of the tip, as plain JSON of :meth:`carina.navigate.Navigator.state`."""

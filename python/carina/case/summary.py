@@ -16,7 +16,7 @@ class CaseSummary:
     """Summary of the current state of a case."""
 
     num_branches: int | None
-    """Number of branches; None if the case has no airways."""
+    """Number of branches of the airway tree; None if the case has no airways."""
     num_edits: int
     """Number of the user's edits of the airways."""
     targets: tuple[str, ...]
@@ -28,9 +28,9 @@ class CaseSummary:
     saved_by: str | None
     """Version of Carina that saved the case; None if nothing was saved yet."""
     is_packed: bool
-    """Whether the file contains the CT."""
+    """Whether the case file contains the CT itself, so that no other file is needed to open the case."""
     is_measured: bool = False
-    """Whether the file contains measures of the airways."""
+    """Whether the case file contains measurements of the airways."""
 
 
 def read_summary(connection: sqlite3.Connection) -> CaseSummary:

@@ -255,7 +255,10 @@ class CaseWriter:
         return self._register_row("route", route, self._put("route", values))
 
     def _airways(self, airways: Airways | FoldedAirways) -> int:
-        """Return the row of airways, in full or packed; write them if they are not stored yet."""
+        """Return the number of the table row that stores the airways; write the row if it does not exist yet.
+
+        The airways may be in memory, packed in the undo history, or stored in another case file.
+        """
         known = self._known_row("airways", airways)
         if known is not None:
             return known

@@ -1,4 +1,4 @@
-"""Route of a view or a flight: airway tree from a file or from the scan, and destination."""
+"""Route of the options ``--to`` and ``--tree``, through an airway tree that is read from a file or found in the CT."""
 
 from __future__ import annotations
 

@@ -28,7 +28,7 @@ from carina.cli.console import (
     progress_printer,
 )
 from carina.cli.options import CtOption, JsonOption, PathArgument, SeriesOption, StrictOption, TokenOption
-from carina.display.printable import printable
+from carina.display.escaped_text import printable
 from carina.display.progress import without_bars
 from carina.errors import UsageError
 

@@ -350,10 +350,11 @@ def plan(
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Plan the way to a nodule outside the airways: where the scope stands, and the needle's path from there.
+    """Plan the route to a nodule outside the airways: the position of the scope's tip, and the needle's path from it.
 
-    The nodule is grown from the point. If no route reaches it, the reason is given and the exit code is 4. A target
-    that may not be a nodule (a vessel, the mediastinum) is planned only with --confirm. Not a medical device.
+    The boundary of the nodule is computed from the point. If no route reaches the nodule, the command prints the reason
+    and exits with code 4. A target that may not be a nodule (a vessel, the mediastinum) is planned only with
+    --confirm. Not a medical device.
 
     Example: carina plan scan.nii.gz --target -41,12,-180 --scope thin -o plan.html
     """

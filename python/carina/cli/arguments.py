@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carina.disk import disk_trouble
-from carina.display.printable import printable
+from carina.display.escaped_text import printable
 from carina.errors import UsageError, VolumeImportError
 
 

@@ -15,7 +15,7 @@ from contextlib import contextmanager
 from typing import Any, NoReturn, TypeVar
 
 from carina.disk import disk_trouble, is_disk_trouble
-from carina.display.printable import printable, shortened_words
+from carina.display.escaped_text import printable, shortened_words
 from carina.display.terminal import as_line, as_terminal_text, escaped_json
 from carina.errors import CancelledError, CarinaError
 

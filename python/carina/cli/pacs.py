@@ -41,7 +41,7 @@ def add(name: str, values: dict[str, Any], *, as_json: bool) -> int:
 
 
 def list_connections(*, as_json: bool) -> int:
-    """List the saved connections."""
+    """List the saved connections to PACS servers."""
     found = PacsConnections().all()
     if as_json:
         print_json({"connections": [_connection_json(one) for one in found]})
@@ -63,7 +63,7 @@ def _connection_json(connection: PacsConnection) -> dict[str, Any]:
 
 
 def remove(name: str, *, as_json: bool) -> int:
-    """Delete a connection."""
+    """Delete a saved connection to a PACS server."""
     PacsConnections().remove(name)
     if as_json:
         print_json({"removed": name})

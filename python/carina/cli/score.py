@@ -31,7 +31,7 @@ from carina.training.handling import hour_text
 from carina.training.mastery import IN_A_ROW_RULE, MASTERY_SOURCE, NOT_COMPARABLE
 
 MAX_CONTACT_LINES = 10
-"""Number of contacts that are printed."""
+"""Number of wall contacts that are printed; further contacts are only counted."""
 
 
 def print_tasks() -> None:

@@ -46,7 +46,7 @@ class StoredFrames:
                 "by another version of Carina; choose another folder, or delete this one"
             )
         self.num = next(n for n in range(10_000_000) if not self._file(n).exists())
-        """Number of consecutive stored frames from the first frame."""
+        """Number of frames that are stored without a gap from the first one."""
 
     @staticmethod
     def _found(folder: Path) -> str | None:

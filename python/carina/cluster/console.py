@@ -33,7 +33,7 @@ TELL_AFTER_LOADS = 5
 TELL_AFTER_S = 0.5
 """Delay of a renderer in seconds from which the user is notified."""
 MAX_FAULTS = 5
-"""Number of wrong answers after which the console removes a renderer."""
+"""Number of wrong answers after which the console stops using a renderer."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,12 +52,12 @@ class StripTiming:
 
 @dataclass(slots=True)
 class _Member:
-    """State of one renderer of the console."""
+    """State of one renderer that the console uses."""
 
     lane: Lane
     reserve: bool
     loading: bool = True
-    """Whether the renderer is loading content, or waits for the next attempt."""
+    """Whether the renderer is loading the content of the scene, or waits before it tries again."""
     attempts: int = 0
     faults: int = 0
     loaded: int = 0
@@ -185,7 +185,7 @@ class Console:
         return frame_id, future
 
     def drop(self, frame_id: int) -> None:
-        """Cancel a requested picture."""
+        """Cancel the rendering of a requested picture."""
         self._inbox.put(lambda: self._drop_frame(frame_id))
 
     def status(self) -> ClusterStatus:

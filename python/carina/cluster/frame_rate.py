@@ -14,14 +14,14 @@ class RateMeter:
         self._spans: deque[float] = deque(maxlen=keep)
 
     def note(self, now_s: float, span_s: float) -> None:
-        """Add an event with its duration in seconds."""
+        """Add an event at a time, with its duration in seconds."""
         # Old times are removed here too, because rate_hz may never be called.
         self._drop_old_events(now_s)
         self._times.append(now_s)
         self._spans.append(span_s)
 
     def rate_hz(self, now_s: float) -> float:
-        """Return the number of events per second."""
+        """Return the mean number of events per second over the last ``over_s`` seconds."""
         self._drop_old_events(now_s)
         return len(self._times) / self._over_s
 

@@ -17,7 +17,7 @@ from collections.abc import Hashable
 from dataclasses import dataclass, field
 from typing import Literal
 
-from carina.cluster.lane_choice import LaneChoice
+from carina.cluster.renderer_selection import LaneChoice
 from carina.cluster.settings import ClusterSettings
 from carina.cluster.shares import Shares
 from carina.cluster.strips import cut_rows
@@ -29,7 +29,7 @@ LaneState = Literal["ready", "late", "away"]
 
 @dataclass(frozen=True, slots=True)
 class Issue:
-    """Action: send a strip to a lane."""
+    """Action of the scheduler: send a strip to a lane."""
 
     task_id: int
     lane: Lane
@@ -38,7 +38,7 @@ class Issue:
     first_row: int
     end_row: int
     again: bool
-    """Whether another lane has had the strip before."""
+    """Whether the strip was sent to another lane before."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,7 +64,7 @@ class LaneLate:
 
 @dataclass(frozen=True, slots=True)
 class LaneBack:
-    """Event: a late lane has answered."""
+    """Event for the scheduler: a lane that was late has answered."""
 
     lane: Lane
 
@@ -74,7 +74,7 @@ Action = Issue | FrameDone | FrameDropped | LaneLate | LaneBack
 
 @dataclass(frozen=True, slots=True)
 class LaneView:
-    """State of a lane, for the user."""
+    """State of a lane that the user sees."""
 
     lane: Lane
     state: LaneState
@@ -89,7 +89,7 @@ class LaneView:
 
 @dataclass(slots=True)
 class _Task:
-    """A strip that was issued to a lane."""
+    """A strip that was sent to a lane and not answered yet."""
 
     task_id: int
     frame_id: int
@@ -192,7 +192,7 @@ class StripScheduler:
 
     @property
     def num_open(self) -> int:
-        """Number of frames that are being rendered."""
+        """Number of frames of which strips are being rendered."""
         return len(self._frames)
 
     @property
@@ -206,7 +206,7 @@ class StripScheduler:
 
     @property
     def num_waiting(self) -> int:
-        """Number of requested frames that wait for an image buffer."""
+        """Number of requested frames that wait until an image buffer is free."""
         return len(self._waiting)
 
     def rows(self, frame_id: int, strip: int) -> tuple[int, int] | None:

@@ -35,7 +35,7 @@ class ClusterSettings:
     chooses_lanes: bool = True
     """Whether only lanes are used that make pictures faster, by measured times; if False, all lanes are used."""
     min_rows: int = 4
-    """Smallest height of a strip, so that a slow lane is still measured."""
+    """Smallest height of a strip in rows; a slow lane also gets such a strip, so that its speed is measured."""
     max_strip_bytes: int = 1_000_000
     """Largest size of an answer; larger strips are divided. Answers above 1 MiB take 9 ms instead of 1 ms."""
     late_factor: float = 3.0

@@ -80,5 +80,5 @@ class Shares:
 
     @property
     def all(self) -> dict[Hashable, float]:
-        """The share of every lane, by lane; the shares sum to one."""
+        """Share of every lane in a picture, by lane; the shares sum to one."""
         return dict(self._p)

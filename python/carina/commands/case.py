@@ -20,7 +20,7 @@ class OpenSeries(Command, frozen=True):
     """Open another DICOM series of the folder from which the CT on screen was opened."""
 
     key: Identifier
-    """Key of the series: ``case.other_series[].key``."""
+    """Key of the DICOM series to open: ``case.other_series[].key``."""
 
 
 class OpenCaseFile(LocalCommand, frozen=True):
@@ -33,7 +33,7 @@ class OpenCaseFile(LocalCommand, frozen=True):
 
 
 class OpenDemo(Command, frozen=True):
-    """Open a bundled case."""
+    """Open a case that is bundled with Carina."""
 
     name: DemoName
 
@@ -65,7 +65,7 @@ class ForgetCase(Command, frozen=True):
 
 
 class RestoreCase(Command, frozen=True):
-    """Restore a deleted case."""
+    """Restore a case that the user deleted within the last 24 hours."""
 
     recent_id: Identifier
 
@@ -106,17 +106,17 @@ class CloseCase(Command, frozen=True):
 
 
 class Cancel(Command, frozen=True):
-    """Stop a job of ``progress``."""
+    """Stop a background job that ``progress`` lists."""
 
     job_id: Identifier
 
 
 class Undo(Command, frozen=True):
-    """Undo the last change."""
+    """Undo the case's last change that was not undone."""
 
 
 class Redo(Command, frozen=True):
-    """Redo the last undone change."""
+    """Redo the case's last undone change."""
 
 
 class SaveCase(Command, frozen=True):
@@ -128,7 +128,7 @@ class SaveCase(Command, frozen=True):
     path: PathText | None = None
     """Path of the file; null is the path where the case was saved before."""
     replace: bool = False
-    """Whether an existing file may be replaced."""
+    """Whether a file that exists at the path may be replaced."""
 
 
 class KeepNow(LocalCommand, frozen=True):

@@ -17,7 +17,7 @@ Gain = Annotated[float, Meta(ge=0.01, le=100.0)]
 
 
 class DeviceGone(Command, frozen=True):
-    """Remove a disconnected device."""
+    """Remove a device that was disconnected from the list of devices."""
 
     device: DeviceName
 
@@ -74,7 +74,7 @@ class DeviceControls(FrozenValue, frozen=True):
 
 
 class SetControls(Command, frozen=True):
-    """Set gains, clutch, speeds and filter of devices."""
+    """Set gains, clutch, speeds and filter of the input devices."""
 
     controls: DeviceControls
 

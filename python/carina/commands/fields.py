@@ -50,10 +50,10 @@ Numbers = Annotated[tuple[float, ...], Meta(max_length=2_000_000)]
 MaybeNumbers = Annotated[tuple[float | None, ...], Meta(max_length=2_000_000)]
 PointsLps = Annotated[tuple[PointLps, ...], Meta(max_length=1_000_000)]
 Matrix4 = Annotated[tuple[Coordinate, ...], Meta(min_length=16, max_length=16)]
-"""4x4 matrix, row-major."""
+"""4x4 matrix as 16 numbers, row by row."""
 Identifier = Annotated[str, Meta(min_length=1, max_length=64, pattern=TEXT)]
 OwnName = Annotated[str, Meta(min_length=1, max_length=80, pattern=TEXT)]
-"""Name that the user gives."""
+"""Name that the user gives, such as that of a target or a flight."""
 PathText = Annotated[str, Meta(min_length=1, max_length=4096, pattern=TEXT)]
 DeviceName = Annotated[str, Meta(min_length=1, max_length=200, pattern=TEXT)]
 BranchId = Annotated[int, Meta(ge=0, le=2**31)]
@@ -61,7 +61,7 @@ FlightNumber = Annotated[int, Meta(ge=1, le=2**31)]
 """Number of a recorded flight, from 1 in each case; deleted numbers are not used again."""
 Pixels = Annotated[int, Meta(ge=16, le=4096)]
 PathMm = Annotated[float, Meta(ge=0.0, le=1e5)]
-"""Position along a path or a branch, mm."""
+"""Position along a path or a branch, in mm from its start."""
 # Wide bounds: an out-of-range value of a device is ignored and counted, and does not close the connection.
 Wide = Annotated[float, Meta(ge=-1e300, le=1e300)]
 Three = tuple[Wide, Wide, Wide]

@@ -1,4 +1,4 @@
-"""Commands that move the tip."""
+"""Commands that move the scope's tip."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class Steer(Command, frozen=True):
 
 
 class SetMode(Command, frozen=True):
-    """Set the mode: free movement, or movement along the path."""
+    """Set the mode of movement: free, or along the path."""
 
     mode: Mode
 
@@ -52,7 +52,7 @@ class Place(Command, frozen=True):
 
 
 class PlacePose(LocalCommand, frozen=True):
-    """Set the pose of the tip and enter free mode."""
+    """Move the tip to a pose and enter free mode."""
 
     lps_from_camera: Matrix4
 
@@ -69,11 +69,11 @@ class LevelHorizon(Command, frozen=True):
 
 
 class ResetLook(Command, frozen=True):
-    """Look along the path again."""
+    """Turn the view back to the direction of the path."""
 
 
 class SetOperator(Command, frozen=True):
-    """Set the position of the operator."""
+    """Set the position of the operator: at the patient's head, or facing the patient."""
 
     sets = "operator"
     undo_label = "operator position"

@@ -55,7 +55,7 @@ class KeyFrameSpeed(KeyFrameEdit, frozen=True):
 
 
 class KeyFrameRemove(KeyFrameEdit, frozen=True):
-    """Delete a key frame."""
+    """Delete a key frame from the flight."""
 
     key_id: Identifier
 

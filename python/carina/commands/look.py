@@ -22,9 +22,9 @@ class Look(FrozenValue, frozen=True):
     """Settings of the airway view that the user chose and that undo restores: instrument, outline and field of view."""
 
     scope: Identifier | None = DEFAULT_SCOPE
-    """Name of the instrument; null is a pinhole."""
+    """Name of the instrument whose lens the airway view has; null is a pinhole camera."""
     outline: Outline = "round"
-    """Outline of the picture."""
+    """Outline of the airway picture: round, octagonal or the full frame."""
     fov_deg: float = scope_preset(DEFAULT_SCOPE).usual_fov_deg
     """Field of view; the scope's, unless the user chose another."""
     operator: Operator = "head"
@@ -34,7 +34,7 @@ class Look(FrozenValue, frozen=True):
 
 
 class SetFov(Command, frozen=True):
-    """Set the full angle of the airway view across the shorter side."""
+    """Set the field of view of the airway view: the full angle across the shorter side of its picture."""
 
     sets = "fov_deg"
     undo_label = "field of view"

@@ -30,4 +30,4 @@ class AnswerMask(Command, frozen=True):
 
 
 class DismissMask(Command, frozen=True):
-    """Discard the mask of ``state.mask_question``."""
+    """Discard the imported mask about which ``state.mask_question`` asks."""

@@ -23,7 +23,7 @@ class Instruments(FrozenValue, frozen=True):
     """Scope, and the tool in its working channel."""
 
     scope: Identifier = "thin"
-    """Name in the library of instruments."""
+    """Name of the scope in the library of instruments."""
     tool: Identifier = "needle-21g"
 
 
@@ -102,7 +102,7 @@ class DescribeTarget(Command, frozen=True):
     called: OwnName
     remark: TargetNote = ""
     rank: TargetRank = 1
-    """Rank; 1 is the first."""
+    """Rank of the target; targets are listed by rank, 1 first."""
 
 
 class ChoosePlannedRoute(Command, frozen=True):
@@ -110,7 +110,7 @@ class ChoosePlannedRoute(Command, frozen=True):
 
     target_id: Identifier
     number: Annotated[int, Meta(ge=1, le=100)] = 1
-    """Number of the route; 1 is the best."""
+    """Number of the route in the list of the plan; 1 is the best route."""
 
 
 class ChoosePair(Instruments, Command, frozen=True, kw_only=True):
@@ -125,7 +125,7 @@ class SetAvailableScopes(Command, frozen=True):
     """Store which scopes of the library are available here; pairs of other scopes are listed separately."""
 
     scopes: Annotated[tuple[Identifier, ...], Meta(min_length=1, max_length=200)] | None
-    """Names of the scopes; null: all of the library."""
+    """Names of the scopes that are available here; null: all scopes of the library."""
 
 
 class SeeTurn(Command, frozen=True):
@@ -169,7 +169,7 @@ class BrushTarget(Command, frozen=True):
     target_id: Identifier
     stroke_lps: Annotated[tuple[PointLps, ...], Meta(min_length=1, max_length=2000)]
     brush_mm: Annotated[float, Meta(ge=0.5, le=MAX_BRUSH_MM)]
-    """Radius of the brush."""
+    """Radius of the brush, mm."""
     takes_away: bool = False
 
 
@@ -192,7 +192,7 @@ class TakeTarget(LocalCommand, frozen=True):
 
     path: str
     structure: str | None = None
-    """Name or number of the structure, if the file has several."""
+    """Name or number of the structure that is the target, if the file has several."""
 
 
 class MapLungs(Command, frozen=True):

@@ -170,7 +170,7 @@ class FlightToFilm(Query[Any], frozen=True):
     pause_s: Annotated[float, Meta(ge=0.0, le=60.0)] = 1.0
     """Pause at each fork of a route and at its end."""
     rate_hz: Annotated[float, Meta(ge=1.0, le=240.0)] = 30.0
-    """Frames per second."""
+    """Frames per second of the file."""
     window: Annotated[int, Meta(ge=0, le=2**31)] | None = None
     """Window whose light and decoration the video shows; None for the window that was used last."""
 

@@ -91,9 +91,9 @@ class StartQuiz(Command, frozen=True):
     ``slices``: choose the opening that leads to the place where the three slices meet.
     """
     seed: Annotated[int, Meta(ge=0, le=2**31)] = 0
-    """Seed of the questions and of their order."""
+    """Seed of the random choice and order of the questions."""
     num: Annotated[int, Meta(ge=1, le=100)] = 10
-    """Largest number of questions."""
+    """Largest number of questions of the quiz."""
 
 
 class AnswerQuiz(Command, frozen=True):

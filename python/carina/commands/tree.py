@@ -112,7 +112,7 @@ class CutBranch(TreeEdit, frozen=True):
 
     branch_id: BranchId
     at_mm: PathMm = 0.0
-    """Position along the branch, mm; 0 removes the whole branch."""
+    """Position in mm along the branch at which it is cut; 0 removes the whole branch."""
 
     def __post_init__(self) -> None:
         """Raise an error if the branch's ID or the position is not valid."""
@@ -135,7 +135,7 @@ class MoveRoot(TreeEdit, frozen=True):
     """Set another root of all paths; branches whose direction changes are reversed."""
 
     lps: PointLps
-    """New root, LPS mm."""
+    """Position of the new root, LPS mm."""
 
     def __post_init__(self) -> None:
         """Raise an error if ``lps`` is not three finite numbers."""

@@ -42,7 +42,7 @@ _PIXELS = ("PixelData", "FloatPixelData", "DoubleFloatPixelData")
 @one_line
 @dataclass(frozen=True, slots=True)
 class DeidentifiedImages:
-    """Result of :func:`deidentify`."""
+    """Numbers and notes of one run of :func:`deidentify`."""
 
     folder: Path
     """The new folder, with one subfolder for each series."""
@@ -51,7 +51,7 @@ class DeidentifiedImages:
     num_series: int
     num_patients: int
     num_masked: int
-    """Number of written images with masked pixels."""
+    """Number of written images in which pixels with burnt-in text were masked."""
     refused: tuple[tuple[str, int], ...]
     """Reasons why images were not written, each with the number of images."""
     num_other_files: int
@@ -280,7 +280,7 @@ class _Run:
 
 
 def _encoded(dataset: Dataset) -> bytes:
-    """Return the file of a cleaned data set."""
+    """Return the bytes of a DICOM file (explicit VR, little endian) with the attributes of a de-identified data set."""
     meta = FileMetaDataset()
     meta.MediaStorageSOPClassUID = UID(str(dataset.get("SOPClassUID") or ""))
     meta.MediaStorageSOPInstanceUID = UID(str(dataset.get("SOPInstanceUID") or ""))

@@ -47,5 +47,5 @@ class Pseudonyms:
 
     @property
     def num_patients(self) -> int:
-        """Number of patients with an alias."""
+        """Number of patients who have received an alias so far."""
         return len(self._patients)

@@ -1,4 +1,4 @@
-"""Files of Carina on a disk: atomic writes, drafts, temporary folders, and safe opening of files that a user names."""
+"""Files of Carina on a disk: atomic writes by drafts (unfinished files), temporary folders, and safe opening."""
 
 from __future__ import annotations
 

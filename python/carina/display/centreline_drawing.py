@@ -25,7 +25,7 @@ def generation_colour(generation: int) -> str:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Way:
-    """A line of the drawing."""
+    """Line of the drawing, such as a branch or a route."""
 
     points_lps: NDArray[np.float64]
     """Points of the line, shape (n, 3), LPS, mm."""

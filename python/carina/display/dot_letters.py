@@ -29,7 +29,7 @@ GLYPHS = {
     for letter, columns in zip(letters, dots.split(), strict=True)
 }
 ADVANCE, DOTS_HIGH = 6, 8
-"""Distance of two letters, and height of a letter, in dots."""
+"""Distance of two letters, and height of a letter, in dots of the dot matrix."""
 TEXT_RGB = (230, 232, 234)
 
 

@@ -23,14 +23,14 @@ ProgressChoice = Progress | bool | None
 """The argument ``progress`` of every public function.
 
 A function ``f(what, fraction)`` is called with the step and its share done, 0 to 1, or None where the share is unknown.
-True, as None, shows a bar in a terminal or a notebook. False shows nothing.
+True and None show a progress bar in a terminal or a notebook; False shows none.
 """
 
 _inside: ContextVar[bool] = ContextVar("carina_progress_inside", default=False)
 """Whether a function with an argument ``progress`` is running: its choice holds for the functions that it calls."""
 
 BEGIN_S = 0.5
-"""Time in s before a bar appears."""
+"""Time in s from the start of a calculation until its progress bar appears; a shorter calculation shows no bar."""
 EVERY_S = 0.1
 
 
@@ -41,7 +41,7 @@ class Bar(Protocol):
         """Show the text and the fraction done, 0 to 1; None if the fraction is unknown."""
 
     def close(self) -> None:
-        """Remove the bar."""
+        """Remove the progress bar from the terminal or the notebook."""
 
 
 class TerminalBar:
@@ -63,7 +63,7 @@ class TerminalBar:
         self._shown.update(self._task, description=text, completed=fraction or 0.0, refresh=True)
 
     def close(self) -> None:
-        """Remove the bar."""
+        """Remove the progress bar from the terminal."""
         self._shown.stop()
 
 
@@ -84,7 +84,7 @@ class NotebookBar:
         self._handle.update(self._html(f'<progress max="1"{value}></progress> <small>{escaped(text)}</small>'))
 
     def close(self) -> None:
-        """Remove the bar."""
+        """Remove the progress bar from the notebook."""
         self._handle.update(self._html(""))
 
 

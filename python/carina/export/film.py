@@ -34,7 +34,7 @@ class Film:
     """Video file that `write_film` has written."""
 
     name: str
-    """Name of the file, without its folder."""
+    """Name of the video file, without its folder."""
     num_frames: int
     rate_hz: float
     size_px: tuple[int, int]
@@ -112,8 +112,8 @@ def write_film(
     speed_mm_s
         Speed along a path, 0.1 to 500.
     progress
-        False, True or ``f(what, fraction)``. True, as None, shows a bar in a terminal or a notebook. The fraction is
-        None where it is unknown.
+        False, True, None or ``f(what, fraction)``. True and None show a progress bar in a terminal or a notebook; False
+        shows none. The fraction is None while the progress is unknown.
     cancel
         Called often; the work stops when it returns True.
 

@@ -61,10 +61,10 @@ class FrameRenderer(Protocol):
     """Methods of a renderer that frames need."""
 
     def render(self, view: Any, /) -> Picture:
-        """Render one image."""
+        """Render one frame of the video."""
 
     def set_transfer(self, transfer: TransferFunction, /) -> None:
-        """Set the transfer function."""
+        """Set the transfer function of the following frames."""
 
     def prepare(self) -> None:
         """Build the data for fast rendering."""
@@ -80,10 +80,10 @@ class FrameStore(Protocol):
     num: int
 
     def store_frame(self, number: int, picture: Picture) -> None:
-        """Store the next frame."""
+        """Store a frame of the video under its number."""
 
     def load(self, number: int, size: tuple[int, int]) -> Rgb:
-        """Return a stored frame."""
+        """Return the frame with a number that was stored earlier."""
 
 
 def check_num_frames(num_frames: int) -> None:

@@ -20,7 +20,7 @@ from carina.track import AirwayTree
 Points = NDArray[np.float64]
 
 ONE_TARGET = "Target"
-"""Name of a single target without a name."""
+"""Name of the plan's only target if the user gave it none."""
 NOT_A_DEVICE = "Not a medical device."
 CORNER_MM = 0.7
 OFF_ROUTE_MM = 3.0

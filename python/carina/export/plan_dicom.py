@@ -98,12 +98,12 @@ class CtImages:
 
     @property
     def study_uid(self) -> str:
-        """UID of the study."""
+        """UID of the study to which the written files belong."""
         return str(self.first.StudyInstanceUID)
 
     @property
     def series_uid(self) -> str:
-        """UID of the series."""
+        """UID of the series that the written files form."""
         return self.slices[0].series_uid
 
     @property

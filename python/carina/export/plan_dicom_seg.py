@@ -170,7 +170,7 @@ def inside_on_grid(nodule: Nodule, volume: Volume) -> Mask:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Part:
-    """Contents of a segment."""
+    """Voxels and description of one segment of the file."""
 
     label: str
     inside: Mask

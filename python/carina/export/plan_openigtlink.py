@@ -262,7 +262,7 @@ class PlanServer:
 
     @property
     def num_peers(self) -> int:
-        """Number of connected clients."""
+        """Number of OpenIGTLink clients that are connected."""
         with self._lock:
             return len(self._peers)
 

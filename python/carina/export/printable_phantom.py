@@ -51,9 +51,9 @@ class PrintablePhantom:
     """Closed mesh of the solid, LPS mm: the inner and outer surface are joined at the open ends."""
     wall_mm: float
     size_mm: tuple[float, float, float]
-    """Extent along LPS x, y and z, mm."""
+    """Extent of the printed solid along LPS x, y and z, mm."""
     names: tuple[str, ...]
-    """Embossed names."""
+    """Names of branches that are embossed on the solid."""
     names_left_out: tuple[str, ...]
     """Names of branches that are too short or too thin for their name."""
     num_open_tips: int
@@ -115,8 +115,8 @@ def printable_phantom(
     least_wall_mm
         Least thickness that the printer makes.
     progress
-        False, True or ``f(what, fraction)``. True, as None, shows a bar in a terminal or a notebook. The fraction is
-        None where it is unknown.
+        False, True, None or ``f(what, fraction)``. True and None show a progress bar in a terminal or a notebook; False
+        shows none. The fraction is None while the progress is unknown.
 
     Raises
     ------

@@ -259,7 +259,7 @@ class VideoWriter:
         return stream
 
     def add(self, rgb: NDArray[np.uint8]) -> None:
-        """Add a frame, ``(height, width, 3)`` uint8."""
+        """Add a frame, ``(height, width, 3)`` uint8, to the end of the video."""
         width, height = self._size
         if rgb.shape != (height, width, 3):
             raise UsageError(f"expected a frame of {(height, width, 3)}; found {rgb.shape}")

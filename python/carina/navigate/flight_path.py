@@ -29,7 +29,7 @@ class PathPoints(Protocol):
 
     @property
     def points_lps(self) -> NDArray[np.float64]:
-        """Points (n, 3), LPS mm, from root to tip."""
+        """Points (n, 3) of the path, LPS mm, from root to tip."""
 
 
 def _check_points(where: str, name: str, value: object) -> None:
@@ -178,7 +178,7 @@ class FlightPath:
 
     @property
     def length_mm(self) -> float:
-        """Length of the polyline of the given points, mm."""
+        """Length in mm of the polyline through the given points."""
         return self._curve.length_mm
 
     @property

@@ -20,7 +20,7 @@ __all__ = ["MAX_SPEED_MM_S", "MIN_SPEED_MM_S", "KeyFrame", "KeyFrameFlight"]
 
 # Mean rotation speed of the camera, rad/s: a rotation takes at least this time, even on a short leg.
 TURN_RAD_S = math.radians(40.0)
-# Time in seconds in which the flight accelerates from rest to full speed.
+# Time in s in which a flight accelerates from rest to full speed.
 RAMP_S = 0.5
 STAND_S = 0.1
 

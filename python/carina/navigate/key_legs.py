@@ -22,7 +22,7 @@ STEP_MM = 0.5
 MAX_SAMPLES = 400
 # Lengths below this count as zero: two equal poses can differ by this much after they were saved and read.
 STAND_MM = 1e-6
-# Angle between two legs above which the flight rests where they meet.
+# Angle in radians between two legs above which the flight stops at the key frame between them.
 BEND_RAD = math.radians(40.0)
 # Half the length of the airway over which the direction of the camera is averaged, so that the camera turns smoothly
 # into a fork.
@@ -96,7 +96,7 @@ class Leg:
 
     @property
     def length_mm(self) -> float:
-        """Length of the leg, mm."""
+        """Length in mm of the leg, the part of a flight between two key frames."""
         return float(self.place_mm[-1])
 
     @property

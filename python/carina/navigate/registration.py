@@ -1,4 +1,4 @@
-"""Registration of a tracker's space to the patient from pairs of points."""
+"""Registration of a tracker's space to the patient, from pairs of corresponding points."""
 
 from __future__ import annotations
 

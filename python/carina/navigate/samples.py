@@ -154,7 +154,7 @@ def _is_at_rest(sample: Sample) -> bool:
 
 @dataclass(slots=True)
 class _DeviceRecord:
-    """State that the gate stores for one device."""
+    """State of one device that the gate needs to judge its next sample."""
 
     last_s: float | None = None
     """Time of the device's clock in its last admitted sample, s."""

@@ -126,7 +126,7 @@ class PacsConnections:
         self._folder = folder
 
     def __repr__(self) -> str:
-        """Return the number of the connections."""
+        """Return a text with the number of the saved connections."""
         return f"PacsConnections({len(self._read(_FILE))} saved)"
 
     def all(self) -> tuple[PacsConnection, ...]:

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 __all__ = ["CONNECT_S", "certificate_error", "check_port", "missing_library", "offline", "tls_context"]
 
 CONNECT_S = 10.0
-"""Longest wait in seconds for the PACS to accept a connection."""
+"""Time in s after which a connection that the PACS has not accepted fails."""
 
 
 def missing_library() -> PacsError:

@@ -32,7 +32,7 @@ MAX_TILT_DEG = 30.0
 ENOUGH_MM = 15.0
 """Distance in mm from the shadows above which a larger distance does not improve the rank."""
 APART_DEG = 15.0
-"""Least difference in degrees between two proposed positions of the C-arm."""
+"""Least difference in degrees between two proposed positions of the C-arm; more similar positions are dropped."""
 MAX_ANGLES = 3
 LAST_MM = 20.0
 """Length in mm before the tip over which the direction of the last branch is measured."""
@@ -74,12 +74,12 @@ class CArmAngle:
 
     @property
     def name(self) -> str:
-        """Name of the position, such as *LAO 30°, cranial 10°*."""
+        """Name of the C-arm's position by its angles, such as *LAO 30°, cranial 10°*."""
         return carm_words(self.primary_deg, self.secondary_deg)
 
     @property
     def words(self) -> str:
-        """Position and figures as text."""
+        """C-arm position, with the clearances of target and tip and the tilt of the last branch, as text."""
         return (
             f"{self.name}: target {self.target_clear_mm:.0f} mm and tip {self.tip_clear_mm:.0f} mm clear of spine and "
             f"mediastinum, last branch {self.tilt_deg:.0f}\u00b0 out of the picture"
@@ -87,7 +87,7 @@ class CArmAngle:
 
     @property
     def suits(self) -> bool:
-        """Whether target and tip are clear and the last branch is seen lengthwise."""
+        """Whether target and tip are clear of shadows by `MIN_CLEAR_MM`, and the last branch is tilted little."""
         return min(self.target_clear_mm, self.tip_clear_mm) >= MIN_CLEAR_MM and self.tilt_deg <= MAX_TILT_DEG
 
     def to_json(self) -> dict[str, Any]:
@@ -106,7 +106,7 @@ class CArmAngle:
 @one_line
 @dataclass(frozen=True, slots=True)
 class CArmAngles:
-    """Positions of a C-arm for one route, the best one first."""
+    """Proposed positions of a C-arm for one route, the best position first."""
 
     route_key: str
     angles: tuple[CArmAngle, ...]

@@ -72,7 +72,7 @@ class Landmark:
     station: str
     """Name of the station: 4R, 4L, 7, 10R, 10L, 11Rs, 11Ri, 11L; in a mirrored chest 11R, 11Ls, 11Li."""
     seen_from: str
-    """Name, as text, of the airway from which the station is examined."""
+    """Name of the airway from which the lymph node station is examined."""
     branch_id: int | None
     """ID of the branch from which the station is examined.
 

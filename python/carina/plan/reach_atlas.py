@@ -52,7 +52,7 @@ APART_MM = 2.0
 TARGET_MM = 10.0
 """Diameter in mm of the ball that represents a target at each voxel."""
 NUM_WAYS = 300
-"""Number of directions on the sphere that are tested at each place."""
+"""Number of directions of the tip, evenly spread on the sphere, that are tested at each position of the atlas."""
 TABLE_STEP_MM, TABLE_STEP_DEG, TABLE_MAX_DEG = 0.5, 1.0, 60.0
 """Steps of the table of hit shares, and its largest angle; beyond that angle no needle hits."""
 NUM_ON_LINE = 12
@@ -165,8 +165,8 @@ def reach_atlas(
     measures
         Measures of the airways (see `plan_route`); computed if None or if they belong to another tree.
     progress
-        False, True or ``f(what, fraction)``. True, as None, shows a bar in a terminal or a notebook. The fraction is
-        None where it is unknown.
+        False, True, None or ``f(what, fraction)``. True and None show a progress bar in a terminal or a notebook; False
+        shows none. The fraction is None while the progress is unknown.
     cancel
         Called often; the work stops when it returns True.
 

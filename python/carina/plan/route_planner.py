@@ -48,17 +48,17 @@ from carina.volume import Volume
 NUM_DRIVEN = 3
 """Default of the largest number of routes that are driven."""
 MAX_SPARES = 2
-"""Largest number of second-best standing places, in branches already driven to, whose drives are simulated too."""
+"""Largest number of second-best scope positions, in branches already driven to, whose drives are simulated too."""
 NUM_THREADS = 2
 DRAFTED = 0.4
-"""Progress at which the drafts of the routes are complete, as a share of the whole work."""
+"""Share of the progress bar at which the routes are known for a needle without errors (their *drafts*)."""
 NOT_DRIVEN = "the drive to this place was not simulated"
 OUTLOOKS: dict[str, Outlook] = {"reaches": "reaches", "does not reach": "does not reach"}
 """Outlook of a route for the outcome of its verdict; *may reach* for all other outcomes."""
 
 
 def _check_place(where: str, name: str, value: object) -> None:
-    """Raise an error unless a value is None or a place: branch ID, distance in mm, index of the aim."""
+    """Raise an error unless a value is None or a scope position: branch ID, distance in mm, index of the aim."""
     if value is None:
         return
     is_place = isinstance(value, tuple) and len(value) == 3
@@ -164,8 +164,8 @@ def plan_route(
         Doubts whether the target is a nodule (`carina.plan.target_doubts`) that the user has confirmed: True for all
         of them, or their codes. Those that a `PlanTarget` lists as confirmed are confirmed too.
     progress
-        False, True or ``f(what, fraction)``. True, as None, shows a bar in a terminal or a notebook. The fraction is
-        None where it is unknown.
+        False, True, None or ``f(what, fraction)``. True and None show a progress bar in a terminal or a notebook; False
+        shows none. The fraction is None while the progress is unknown.
     cancel
         Called often; the work stops when it returns True.
 

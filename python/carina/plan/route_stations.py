@@ -51,7 +51,7 @@ class RouteStation:
 
     @property
     def words(self) -> str:
-        """Station, place, clock hour at the head and relation, as text."""
+        """Station, position, clock hour for an operator at the head, and relation to the target, as text."""
         return self.words_for("head")
 
     def words_for(self, operator: Operator) -> str:

@@ -47,11 +47,11 @@ class ClusterState(FrozenValue, frozen=True):
     address: Words
     members: tuple[MemberStatus, ...]
     alone: bool
-    """Whether no other machine can render now, so that this one renders alone."""
+    """Whether this machine renders whole pictures alone, because no other machine can render now."""
     mixed: bool
     """Whether pictures may come from graphics devices, which equal the CPU's within one grey level only."""
     fps: float
-    """Number of pictures that were assembled in the last second."""
+    """Number of pictures that the machines completed in the last second."""
     frame_ms: float | None
     """Median time from the request of a picture to its completion, ms, of the latest pictures.
 
@@ -60,7 +60,7 @@ class ClusterState(FrozenValue, frozen=True):
 
 
 class ClusterStatus(ClusterState, frozen=True):
-    """State of the cluster with messages for the user."""
+    """State of the cluster of rendering machines, with messages for the user."""
 
     notices: tuple[Words, ...]
     """Messages for the user, oldest first; each is sent once."""

@@ -1,4 +1,4 @@
-"""Choices of the fastest way to cast over equal values: leaps or brute force, and leaps with or without prefetching."""
+"""Choice of the faster method in paper mode: leaps or brute force, and leaps with or without prefetching."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ from carina.scopes import Pose
 MIN_PIXELS = 64 * 64
 """Number of pixels below which a measurement takes longer than it saves; the trial rays decide there."""
 PICTURES_BETWEEN = 32
-"""Number of pictures along a flight for which one measurement serves."""
+"""Number of pictures along a flight after which the times of leaping and brute force are measured again."""
 NEAR_TURN_RAD = 0.25
 """Turn of the camera beyond which a measurement does not serve."""
 NEAR_SHARE = 0.1
 """Share of the volume's diagonal that the camera may move before a measurement does not serve."""
 STRIPS = 4
-"""Number of strips of a picture that are timed."""
+"""Number of strips of a picture in which leaping and brute force are timed."""
 STRIP_ROWS = 4
-"""Number of rows of a strip: one band of the caster."""
+"""Number of rows of a timed strip: one band of the caster."""
 ROUNDS = 3
 """Number of times that each strip is timed with each method; the least time counts."""
 MORE_ROUNDS = 5
@@ -35,11 +35,11 @@ MORE_ROUNDS = 5
 CLOSE_RATIO = 1.25
 """Ratio of the costs of both methods below which the strips are timed in further rounds."""
 MIN_GAIN = 0.02
-"""Share of the cost of brute force that leaps must save; a smaller gain is within the error of a measurement."""
+"""Share of brute force's time that leaps must save to be chosen; a smaller gain is within the measurement's error."""
 MAX_VIEWS = 64
-"""Number of views whose choice is stored."""
+"""Number of views whose faster method is stored; a further view removes the oldest one."""
 PREFETCH_TRIALS = 4
-"""Number of pictures, alternately without and with prefetching, whose times decide."""
+"""Number of pictures, alternately without and with prefetching, whose times decide whether packets prefetch."""
 PREFETCH_RETRY = 32
 """Number of pictures after which the other way is timed in one picture again."""
 
@@ -65,7 +65,7 @@ class LeapChoice:
     def leaps(
         self, scene: tuple[ValueMaps, TransferFunction], view: AirwayView, cost_of: CostOf, *, diagonal_mm: float
     ) -> bool | None:
-        """Return whether leaps are faster in a view; None if the picture is too small for a measurement."""
+        """Return whether leaps are faster than brute force in a view; None if the picture is too small to measure."""
         if view.width * view.height < MIN_PIXELS or view.height < STRIPS * STRIP_ROWS:
             return None
         key = repr((view.width, view.height, view.fov_deg, view.lens)).encode() + view.pose.lps_from_camera.tobytes()

@@ -111,7 +111,7 @@ class Backend:
         _check_mode(mode)
         self._mode = mode
         self.num_choices = 0
-        """Number of changes of the choice by the user."""
+        """Number of times that the user chose another processor."""
         self._trouble: str | None = None
         self._listeners: list[Callable[[str], None]] = []
         self._record = record

@@ -13,7 +13,7 @@ Points = NDArray[np.float64]
 
 HALF_WIDTH_MM = 40.0
 """Half the width of a straightened airway, mm: farther out, the planes of a bend would intersect."""
-# Margin in mm beyond the ends of a path that is shown completely.
+# Margin in mm that a curved reformation shows beyond each end of a completely shown path.
 END_MM = 8.0
 
 

@@ -26,7 +26,7 @@ DECORATED = "decorated"
 SCALE_MM = (1, 2, 5, 10, 20, 50, 100, 200)
 """Lengths of a scale bar, mm."""
 SCALE_SHARE = 0.25
-"""Largest length of a scale bar as a share of the picture's width."""
+"""Largest length of a scale bar as a share of the picture's width; the longest round length below it is drawn."""
 
 Point = NDArray[np.float64] | tuple[float, float, float]
 
@@ -37,11 +37,11 @@ class PictureMarks:
     """Marks that the user selects for a saved picture; a view ignores marks that it cannot show."""
 
     letters: bool = True
-    """Orientation letters at the edges."""
+    """Whether orientation letters (such as R and L) are written at the edges of the picture."""
     scale: bool = True
     """Scale bar in mm, or the axis of a view along a path."""
     names: bool = True
-    """Names of branches."""
+    """Whether names of branches are written into the picture."""
 
 
 def default_marks(view: str) -> PictureMarks:

@@ -31,7 +31,7 @@ Cancel = Callable[[], bool]
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Maps(LeapedValues):
-    """Values and radii for leaps over transparent classes, for one transfer function."""
+    """Voxel values and radius map for leaps over the classes that one transfer function shows as transparent."""
 
     runs: tuple[tuple[int, int], ...]
 
@@ -107,7 +107,7 @@ class SceneBuilder:
 
     @property
     def scene(self) -> Scene:
-        """Current scene of the volume."""
+        """Current state of everything that the renderer shows: maps, transfer function, lumen and decoration."""
         return self._scene
 
     def adopt(self, scene: Scene) -> None:

@@ -18,7 +18,7 @@ MAX_VALUES = 256
 """Largest number of different values that are compared as they are: those of 8 bits, as in the paper."""
 BIN_NAME = f"bins of {PAPER_BIN_HU}"
 VOXELS_PER_PART = 1 << 22
-"""Number of voxels whose values are counted at a time."""
+"""Number of voxels that are counted at once in the histogram; it limits the memory for a large volume."""
 
 
 def values_in(values_zyx: NDArray[np.int16]) -> NDArray[np.int64] | None:

@@ -40,7 +40,7 @@ class ViewSettings:
     # The next fields are settings of the views along the route.
     path: PathFrames | None = None
     path_mm: float = 0.0
-    """Position on the path at the centre of a zoomed view, mm."""
+    """Position on the path, in mm from its start, that a zoomed view shows in its centre."""
 
     @property
     def window_hu(self) -> tuple[float, float] | None:

@@ -98,7 +98,7 @@ CELLS: Mapping[CellName, Cell] = MappingProxyType(
 @one_line
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ViewRow:
-    """Properties of one view."""
+    """Properties of one view: title, need of a path or a lumen, overlays, and reaction to the mouse."""
 
     name: ViewName
     title: str
@@ -135,15 +135,15 @@ class ViewRow:
     slab: Literal["window", "call"] | None = None
     """Source of the slab thickness: the window's setting, or only a call's argument; None for views without a slab."""
     windowed: bool = False
-    """Whether the grey window of the slices applies to the view."""
+    """Whether the grey window of the slices (width and level in HU) applies to the view."""
     outlined: bool = False
     """Whether the outline of the lumen is drawn over the view."""
     by_transfer: bool = False
-    """Whether the picture shows the renderer's transfer function and lumen."""
+    """Whether the picture depends on the renderer's transfer function and lumen."""
     costly: bool = False
     """Whether the view casts perspective rays (first picture coarse); other views take milliseconds."""
     at_tip: bool = False
-    """Whether the view follows the tip even while the crosshair stays."""
+    """Whether the view moves with the tip even while a crosshair fixes the slices."""
     inside: bool = False
     """Whether the view is a plane through the tip, which has no content outside the volume."""
     wants_tip: bool = True

@@ -8,12 +8,13 @@ from numpy.typing import NDArray
 from carina import _core
 from carina.render.transfer_function import TransferFunction
 
-# Height of the cap as a function of the smoothed lumen (1 deep inside, 0 outside), in units of the ramp from clear (0)
-# to opaque (1). The flat side of a lumen has 3/4 in its last voxel and 1/4 in the first outside, so the cap becomes
-# opaque about one voxel outside.
+# Least value of a voxel in the copy with a closed wall (the *cap*), as a function of the smoothed lumen (1 deep inside,
+# 0 outside), in units of the ramp from clear (0) to opaque (1). At a flat wall the smoothed lumen is 3/4 in the last
+# voxel inside and 1/4 in the first voxel outside, so the wall becomes opaque about one voxel outside.
 CAP_LUMEN = (0.0, 0.3, 0.6, 1.0)
 CAP_HEIGHT = (7 / 6, 1.0, -1 / 3, -1.0)
-# Lowest height of the shell (the voxels around the lumen), for corners where most neighbours are lumen.
+# Least cap of the shell (the voxels next to the lumen); without it the wall would have holes at corners where most
+# neighbours are lumen.
 LOWEST_SHELL = 2 / 3
 
 

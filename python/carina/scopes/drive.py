@@ -58,9 +58,9 @@ class ContactRecord:
     """Summary of all contacts since the scope was placed."""
 
     count: int = 0
-    """Number of contacts of the tip."""
+    """Number of contacts of the tip with the wall."""
     time_s: float = 0.0
-    """Total time of contact, s."""
+    """Total time in s in which the tip was in contact with the wall."""
     max_depth_mm: float = 0.0
     """Largest depth in mm by which a contact is inside the wall (`Contact.depth_mm`)."""
 
@@ -79,7 +79,7 @@ class ScopeHold(FrozenValue, frozen=True):
 @one_line
 @dataclass(frozen=True, slots=True, eq=False)
 class ScopeState:
-    """State of the scope after a move."""
+    """State of the simulated scope after a move."""
 
     pose: Pose
     """Pose of the tip's face, turned by 180 degrees about its axis for an operator who faces the patient.
@@ -226,22 +226,22 @@ class ScopeDrive:
 
     @property
     def scope(self) -> ScopePreset:
-        """Instrument."""
+        """Instrument that is driven."""
         return self._scope
 
     @property
     def field(self) -> WallField:
-        """Wall that constrains the scope."""
+        """Field of the wall that constrains the scope."""
         return self._field
 
     @property
     def state(self) -> ScopeState:
-        """Current state of the scope."""
+        """State of the scope after the last move."""
         return self._state_from_core
 
     @property
     def operator(self) -> OperatorPosition:
-        """Position of the operator."""
+        """Position of the operator: at the patient's head, or facing the patient."""
         return self._operator
 
     @check_arguments(operator=choice("head", "facing"))

@@ -1,4 +1,4 @@
-"""Lens of the scope, outline of its picture, and the optics of both for a picture of a given size.
+"""Lens model of a bronchoscope, the outline of its picture, and the ray of each pixel for a given picture size.
 
 Camera axes: +x right, +y down, +z forward. Points of a picture are in corner coordinates: pixel (0, 0) is the corner of
 the top-left pixel, its centre is (0.5, 0.5).
@@ -222,12 +222,12 @@ class Optics:
 
     @property
     def limit_deg(self) -> float:
-        """Largest angle from the axis that the picture can show, degrees."""
+        """Largest angle in degrees between a ray of the picture and the lens axis."""
         return math.degrees(self._core.limit_rad)
 
     @property
     def limit_rad(self) -> float:
-        """Largest angle from the axis that the picture can show, radians."""
+        """Largest angle in radians between a ray of the picture and the lens axis."""
         return self._core.limit_rad
 
     @property

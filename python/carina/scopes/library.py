@@ -51,7 +51,7 @@ class ScopePreset:
     focus_mm: tuple[float, float] | None
     """Depth of field: nearest and farthest sharp distance from the tip, mm."""
     flexion_deg: tuple[float, float] | None
-    """Largest flexion of the tip up and down, degrees."""
+    """Largest flexion of the tip up and down, degrees; None if it is unknown."""
     length_mm: float | None
     """Working length of the insertion tube, mm."""
     basis: str

@@ -50,7 +50,7 @@ class PathFrames:
 
     @property
     def length_mm(self) -> float:
-        """Length from the first position to the last, mm."""
+        """Length in mm of the path from its first position to its last."""
         return float(self.path_mm[-1] - self.path_mm[0])
 
     @property

@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 from typing import Protocol
 
-from carina.display.printable import printable
+from carina.display.escaped_text import printable
 from carina.display.terminal import as_terminal_text
 from carina.errors import CarinaError
 from carina.session import Session
@@ -26,10 +26,10 @@ class Terminal(Protocol):
 
     @property
     def is_interactive(self) -> bool:
-        """Whether a user can answer."""
+        """Whether a user is at the terminal who can answer the question."""
 
     def say(self, text: str) -> None:
-        """Print a line."""
+        """Print a line for the user."""
 
     def ask(self, prompt: str) -> str | None:
         """Print a prompt, and return the line that the user types; None at the end of the input."""

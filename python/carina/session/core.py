@@ -241,7 +241,7 @@ class SessionCore:
     # ------------------------------------------------------------ undo
 
     def undo(self) -> None:
-        """Undo the last change."""
+        """Undo the case's last change that was not undone."""
         self._move_in_history(lambda history: history.undo(), "undone")
 
     def redo(self) -> None:

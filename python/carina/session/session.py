@@ -29,8 +29,8 @@ from carina.session.flights.key_frames import KeyFrameHandlers
 from carina.session.flights.recorded_flights import FlightHandlers
 from carina.session.flights.recording import FlightRecorder
 from carina.session.flights.scope_contact import ScopeContactHandlers
+from carina.session.flights.store_simulated_drive import VerdictDriveHandlers
 from carina.session.flights.tip_commands import TipHandlers
-from carina.session.flights.verdict_drives import VerdictDriveHandlers
 from carina.session.jobs.background_jobs import JobRunner
 from carina.session.saving.autosave import CLOSING_S, Autosave, CaseFileFunctions
 from carina.session.scene.shown_case import ShownCase
@@ -211,7 +211,7 @@ class Session:
     # ------------------------------------------------------------ undo
 
     def undo(self) -> None:
-        """Undo the last change."""
+        """Undo the case's last change that was not undone."""
         self._core.undo()
 
     def redo(self) -> None:

@@ -16,19 +16,22 @@ PADDING_HU = -1100
 
 @dataclass(frozen=True, slots=True)
 class AirScale:
-    """Values of air and soft tissue in the numbers of a volume; HU levels are interpolated between them."""
+    """Voxel values of air and soft tissue in a volume, from which the value of every other level in HU follows.
+
+    The values of a volume that is not in HU are read from its histogram; see `air_scale`.
+    """
 
     air: float
-    """Value of air (-1000 HU) in the numbers of the volume."""
+    """Voxel value of air; -1000 in a volume in HU."""
     tissue: float
-    """Value of soft tissue (0 HU and slightly more) in the numbers of the volume."""
+    """Voxel value of soft tissue; 0 in a volume in HU."""
 
     def level(self, hu: float) -> int:
-        """Return the value of the volume for a level in HU."""
+        """Return the voxel value that corresponds to a level in HU, rounded to an integer."""
         return round(self.air + (hu + 1000.0) / 1000.0 * (self.tissue - self.air))
 
     def span(self, hu: float) -> float:
-        """Return the difference in the numbers of the volume for a difference in HU."""
+        """Return the difference of voxel values that corresponds to a difference in HU."""
         return hu / 1000.0 * (self.tissue - self.air)
 
 

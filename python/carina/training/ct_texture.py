@@ -22,7 +22,7 @@ Floats = NDArray[np.float64]
 LUNG_HU, TISSUE_HU = (-1000.0, -650.0), (-120.0, 160.0)
 """Ranges in HU of the two sides of an edge."""
 SIDE_MM = 2.4
-"""Distance in mm from an edge over which both sides must be homogeneous."""
+"""Distance in mm on both sides of an edge in which the CT must be homogeneous for the edge to be measured."""
 SIDE_SPREAD_HU = 90.0
 """Largest standard deviation in HU of one side of an edge, above that of the noise."""
 MAX_SLOPE_ACROSS, MAX_TILT_MM = 0.3, 0.2

@@ -30,7 +30,7 @@ EventKind = Literal[
 @one_line
 @dataclass(frozen=True, slots=True)
 class FlightEvent:
-    """Event of a flight."""
+    """Event of a flight, such as a contact with the wall or a wrong branch."""
 
     time_s: float
     """Time from the start of the recording, s."""

@@ -28,7 +28,7 @@ VARIANCE_FRAMES = 11
 @one_line
 @dataclass(frozen=True, slots=True)
 class BranchStay:
-    """Time in a branch in both flights."""
+    """Time that each of both flights spends in a branch."""
 
     name: str
     own_s: float
@@ -48,14 +48,14 @@ class FlightComparison:
     compared_share: float
     """Share of the flight's time at places at which the expert was, 0 to 1; the deviation is defined there."""
     deviation_mm: float | None
-    """Mean distance of the tip from the expert's tip at the same place, mm; None without such places."""
+    """Mean distance in mm of the tip from the expert's tip at the same position in the airways; None without one."""
     deviation_variance_mm2: float | None
-    """Mean variance of this distance within one second, mm²."""
+    """Mean variance of the distance between both tips within one second, mm²."""
     worst_mm: float | None
-    """Largest distance, mm."""
+    """Largest distance between both tips, mm."""
     worst_branch: str | None
     worst_s: float | None
-    """Time of the largest distance from the start of the flight, s."""
+    """Time in s of the largest distance between both tips, from the start of the flight."""
     num_contacts: int
     expert_contacts: int
     touched_only_own: tuple[str, ...]
@@ -205,7 +205,7 @@ def _path_of(tips: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _deviations(own: _Places, expert: _Places) -> NDArray[np.float64]:
-    """Return (n,) distance of the tip from the expert's at the same place; NaN where the expert was not."""
+    """Return the distance (n,) of the tip from the expert's at the same position; NaN where the expert was not."""
     found = np.full(len(own.ids), np.nan)
     for branch_id in np.unique(own.ids):
         mine, theirs = np.flatnonzero(own.ids == branch_id), np.flatnonzero(expert.ids == branch_id)

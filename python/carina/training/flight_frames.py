@@ -18,7 +18,7 @@ from carina.scopes import DEFAULT_SCOPE, Pose, ScopePreset, scope_preset
 FRAME_HZ = 10.0
 """Rate in Hz of the frames on which all scores are computed."""
 MAX_FLIGHT_S = 7200.0
-"""Longest flight in s that is scored."""
+"""Duration in s of a flight above which it is not scored."""
 
 REPEATED_SHARE = 0.5
 """Share of poses that equal those of an earlier flight above which a flight is a replay of the earlier one."""

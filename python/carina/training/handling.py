@@ -49,7 +49,7 @@ class WallContact:
     first_frame: int
     last_frame: int
     place_lps: tuple[float, float, float]
-    """Position of the tip at the first touch, LPS mm."""
+    """Position of the tip when it first touches the wall, LPS mm."""
     branch_id: int
     """Branch in which the tip was at the first touch."""
     clock_hour: float
@@ -186,7 +186,7 @@ def hour_text(hours: float) -> str:
 
 
 def path_length_mm(tips: Points) -> float:
-    """Return the length in mm of the path of the tip, (n, 3)."""
+    """Return the length in mm of the path through the tip's positions (n, 3)."""
     return float(np.linalg.norm(np.diff(tips, axis=0), axis=1).sum())
 
 

@@ -65,7 +65,7 @@ class Mastery:
     passed: tuple[bool, ...]
     """Whether each attempt fulfilled the definition of a mastery procedure and counts."""
     counted: tuple[bool, ...]
-    """Whether each attempt counts in a verdict."""
+    """Whether each attempt counts in the verdict on mastery."""
     reasons: tuple[tuple[str, ...], ...]
     """Reasons why each attempt does not count."""
     basis: str = "over the recordings that you gave, in your order"
@@ -73,7 +73,7 @@ class Mastery:
 
     @property
     def num_counted(self) -> int:
-        """Number of attempts that count."""
+        """Number of attempts that count in the verdict on mastery."""
         return sum(self.counted)
 
     @property

@@ -12,13 +12,13 @@ from numpy.typing import NDArray
 Points = NDArray[np.float64]
 
 LOBES = 7
-"""Number of bumps on the surface."""
+"""Number of bumps on the surface of a lobulated nodule."""
 LOBE_SHARE = 0.16
-"""Height of a bump as a share of the radius, at spiculation 1."""
+"""Height of a bump as a share of the nodule's radius, at spiculation 1."""
 LOBE_WIDTH = 0.45
 """Standard deviation of a bump, rad."""
 MAX_SPICULES = 14
-"""Number of spicules at spiculation 1."""
+"""Number of spicules of a nodule at spiculation 1."""
 SPICULE_LENGTH = (0.35, 0.75)
 """Lengths of spicules beyond the ball as shares of the radius."""
 SPICULE_WIDTH = 0.13
@@ -32,7 +32,7 @@ class NoduleShape:
     """Star-shaped body round a centre: a ball of radius 1 with bumps, and cones on it; scaled by ``radius_mm``."""
 
     radius_mm: float
-    """Radius in mm of the ball."""
+    """Radius in mm of the ball that the shape deforms."""
     lobes: Points
     """(n, 3) unit directions of the bumps."""
     lobe_heights: NDArray[np.float64]
@@ -60,7 +60,7 @@ class NoduleShape:
 
     @property
     def reach_mm(self) -> float:
-        """Largest distance from the centre to the surface, mm; an upper bound."""
+        """Upper limit in mm of the distance from the nodule's centre to its surface."""
         longest = max(1.0 + float(self.spicule_lengths.max(initial=0.0)), 1.0 + float(self.lobe_heights.sum()))
         return self.radius_mm * longest
 

@@ -22,7 +22,7 @@ from carina.training.flight_frames import FlightFrames
 PICTURE_PX = 64
 """Width and height in pixels of the pictures in which openings are counted."""
 MIN_PICTURE_SHARE = 0.01
-"""Least share of the picture's pixels that an opening in sight covers, unoccluded."""
+"""Share of the picture's pixels below which an unoccluded opening does not count as in sight."""
 MIN_CLEAR_SHARE = 0.5
 """Least share of an opening's area that is in the picture and that the wall does not hide."""
 DISK_POINTS = 200

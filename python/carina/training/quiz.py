@@ -30,11 +30,11 @@ BACK_MM = (10.0, 8.0, 12.0, 6.0, 15.0, 4.0)
 LEAST_HOURS = 2.0
 """Least difference in clock hours between the openings of a fork from which a question is made."""
 MAX_GENERATION = 5
-"""Highest generation of a branch whose fork a question is about."""
+"""Generation of a branch above which no question is about its fork."""
 LEAST_INTO_MM = 8.0
 """Least length in mm of a branch in which three slices can show a place beyond the fork."""
 INTO_BRANCH = 0.4
-"""Part of its length at which the tip is in a branch."""
+"""Share of its length at which the tip is placed in the branch that a question shows."""
 
 
 @one_line

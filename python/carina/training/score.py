@@ -61,7 +61,7 @@ class ScoredContact:
     branch: str
     """Name of the branch in which the tip was."""
     place_lps: tuple[float, float, float]
-    """Position of the tip, LPS mm."""
+    """Position of the tip at the contact, LPS mm."""
     clock_hour: float
     """Clock hour of the touched wall in the picture."""
 
@@ -114,7 +114,7 @@ class Score:
 
     @property
     def num_case_segments(self) -> int:
-        """Number of segments that the case has."""
+        """Number of the published segments that the tree of the case contains."""
         return len(self.case_segments)
 
     def to_json(self) -> dict[str, Any]:
@@ -197,8 +197,8 @@ def score_recording(
     wall
         Distance to the wall of the airways; computed if None.
     progress
-        False, True or ``f(what, fraction)``. True, as None, shows a bar in a terminal or a notebook. The fraction is
-        None where it is unknown.
+        False, True, None or ``f(what, fraction)``. True and None show a progress bar in a terminal or a notebook; False
+        shows none. The fraction is None while the progress is unknown.
 
     Returns
     -------

@@ -27,7 +27,7 @@ STATION_DEG = 45.0
 STATION_S = 1.0
 """Time in s for which both hold without a break when the station is located."""
 REACH_MM = 5.0
-"""Largest distance in mm of the tip from the planned place when the target is reached."""
+"""Largest distance in mm of the tip from its planned position at which the target counts as reached."""
 REACH_DEG = 30.0
 """Largest angle in degrees between the tip's direction and the line from the tip to the aim in the target."""
 REACH_S = 1.0
@@ -253,7 +253,7 @@ def _located_stations(task: Task, tree: AirwayTree, frames: FlightFrames, first:
 
 
 def _reached(task: Task, frames: FlightFrames, first: int, last: int) -> TaskResult:
-    """Return whether the tip was at the planned place and directed at the target."""
+    """Return whether the tip was at its planned position and pointed at the target."""
     poses = frames.lps_from_tip[first : last + 1]
     ways = np.array(task.aim_lps) - poses[:, :3, 3]
     ahead = (ways * poses[:, :3, 2]).sum(axis=1) >= np.cos(np.radians(REACH_DEG)) * np.linalg.norm(ways, axis=1)

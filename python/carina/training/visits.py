@@ -28,7 +28,7 @@ MIDDLE = 0.5
 @one_line
 @dataclass(frozen=True, slots=True)
 class Visit:
-    """Visit of a place: frame at which the visit counts, and index of the place."""
+    """Visit of a segment or another listed branch (a *place*): frame at which the visit counts, and its index."""
 
     frame: int
     place: int
@@ -37,7 +37,7 @@ class Visit:
 
 
 def frames_of(seconds: float) -> int:
-    """Return the number of consecutive frames that span a time."""
+    """Return the number of consecutive frames of a flight that span a time in s."""
     return math.ceil(seconds * FRAME_HZ - 1e-6) + 1
 
 
@@ -119,7 +119,7 @@ def visits_of(sights: OpeningSights, places: Sequence[Sequence[int]], entries: S
 
 
 def revisits_of(visits: Sequence[Visit]) -> list[Visit]:
-    """Return the visits of places that were visited before."""
+    """Return those visits whose place was visited before."""
     known: set[int] = set()
     found = []
     for visit in visits:

@@ -42,9 +42,9 @@ MAX_UNPACKED_BYTES = 32 << 30
 MAX_RATIO = 200
 """Largest ratio of unpacked to packed bytes; CT slices have 2 to 10, also with much air."""
 FREE_OF_RATIO_BYTES = 256 << 20
-"""Number of unpacked bytes below which the ratio does not matter."""
+"""Number of unpacked bytes up to which an archive may have any compression ratio."""
 MAX_DEPTH = 3
-"""Largest number of archives inside each other."""
+"""Number of archives inside each other above which an archive is refused."""
 _MIN_FREE_BYTES = 512 << 20
 _MAX_DIRECTORY_BYTES = 128 << 20
 _CHUNK = 1 << 20
@@ -133,7 +133,7 @@ class UnpackedArchive:
 
 @dataclass(slots=True)
 class _Budget:
-    """Limits of one archive, with all archives in it."""
+    """Remaining limits of one archive, which all archives in it share."""
 
     archive: Path
     folder: Path

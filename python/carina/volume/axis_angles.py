@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 MAX_SKEW_DEG = 0.2
-"""Largest deviation of the angle between two axes from 90 degrees."""
+"""Largest accepted deviation, in degrees, of the angle between two axes of a grid from 90 degrees."""
 MAX_LEAN_MM = 0.1
 """Largest shift in mm over the shorter of two axes that is accepted at any angle, for stacks of a few slices."""
 _ROUNDING = 1e-9  # relative; rounding of 0.2 degrees when computed from a matrix

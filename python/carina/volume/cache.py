@@ -50,7 +50,7 @@ logger = logging.getLogger(__name__)
 MAX_BYTES = 20_000_000_000
 """Largest size of all cached CTs in bytes; a tenth of the free disk is a second limit."""
 MAX_AGE_S = 90 * 86_400.0
-"""Time in seconds since its last use after which a CT is deleted."""
+"""Time in s after its last use when a cached CT is deleted."""
 _SHARE_OF_FREE = 0.1
 _SOURCE = ".source"
 _SOURCE_NAME = re.compile(r"[0-9a-f]{40}\.source")
@@ -188,7 +188,7 @@ class VolumeCache:
 
     @property
     def is_on(self) -> bool:
-        """Whether the cache may store CTs."""
+        """Whether the cache stores the CTs that are opened."""
         return self._max_bytes != 0
 
     @property

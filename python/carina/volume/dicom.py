@@ -80,12 +80,12 @@ class FoundSeries:
 
     @property
     def name(self) -> str:
-        """Name of the series for messages to the user."""
+        """Name of the series in messages to the user."""
         return _name(self.info)
 
     @property
     def coverage_mm(self) -> float:
-        """Height of the stack along its normal in mm."""
+        """Height in mm that the slices cover along their normal."""
         if len(self.slices) < 2:
             return 0.0
         normal = np.cross(self.slices[0].row_lps, self.slices[0].column_lps)

@@ -109,13 +109,13 @@ class Clipping:
 
     def __init__(self) -> None:
         self.count = 0
-        """Number of voxels set to the nearest int16 value."""
+        """Number of voxels whose value did not fit into int16 and was set to the nearest int16 value."""
         self.lost = 0
-        """Number of clipped voxels that were not padding."""
+        """Number of these voxels that were not padding."""
         self._padding: set[float] = set()
 
     def clip(self, header: SliceHeader, numbers: NDArray[Any]) -> NDArray[Any]:
-        """Return the values clipped to int16, and count the clipped ones."""
+        """Return the numbers of a slice clipped to int16, and count the clipped ones."""
         low, high = float(numbers.min()), float(numbers.max())
         if low >= -32768 and high <= 32767:
             return numbers

@@ -47,7 +47,7 @@ class UnusedFile:
     """Reason why the file was not used, for messages, such as "empty" or "truncated header"."""
     size: int
     is_dicom: bool
-    """Whether the file begins like DICOM, or is a folder with unknown content."""
+    """Whether the file begins like a DICOM file, or the folder has unknown content."""
     known: bool = False
     """Whether the file begins like a document or an archive."""
     series_uid: str = field(default="", repr=False)

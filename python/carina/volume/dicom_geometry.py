@@ -60,7 +60,7 @@ class SliceStack:
 
     @property
     def shape_zyx(self) -> tuple[int, int, int]:
-        """Shape of the volume."""
+        """Number of voxels of the volume along z, y, x."""
         return self.grid.shape_zyx
 
     @property
@@ -82,7 +82,7 @@ class SliceStack:
 
     @property
     def notes(self) -> tuple[Note, ...]:
-        """Badges that name the corrections."""
+        """Notes for the user that name the corrections of the geometry."""
         notes = []
         if self.tilt is not None:
             words = (

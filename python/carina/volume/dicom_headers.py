@@ -161,7 +161,7 @@ class SliceHeader:
 
     @property
     def has_rescale(self) -> bool:
-        """Whether slope and intercept are given."""
+        """Whether the header contains rescale slope and intercept."""
         return self.has_slope and self.has_intercept
 
 

@@ -43,7 +43,7 @@ class Segmentation:
         self.names = _names(path, data)
         """Labels of the described segments, by number."""
         self.notes = places.notes
-        """Messages about corrections made to place the frames."""
+        """Notes for the user about the corrections that were necessary to place the frames."""
         self.num_voxels: dict[int, int] = {}
         """Number of voxels of each segment that is not empty."""
         for frame, segment in zip(self._pixels, places.segments, strict=True):
@@ -177,7 +177,7 @@ class _Pixels:
         self.background = int(data.get("PixelPaddingValue", 0) or 0) if kind == "LABELMAP" else -1
         """Pixel value of a label map that marks the background (PS3.3 C.8.20.2); -1 for other types."""
         self.is_graded = False
-        """Whether fractions other than 0 and 1 occur."""
+        """Whether a fractional segment has values other than 0 and 1."""
         self._bits: NDArray[np.uint8] | None = None
         self._frames: NDArray[Any] = np.empty(0)
         self._largest = 0

@@ -40,7 +40,7 @@ class Contour:
 
     @property
     def area_mm2(self) -> float:
-        """Enclosed area in mm²."""
+        """Area in mm² that the outline encloses."""
         points = self.points_lps - self.points_lps[0]
         return 0.5 * float(np.linalg.norm(np.cross(points, np.roll(points, -1, axis=0)).sum(axis=0)))
 

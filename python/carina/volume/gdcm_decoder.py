@@ -18,7 +18,7 @@ _NUMBERS = {
 
 
 class DecodingError(ValueError):
-    """GDCM cannot decode the pixels."""
+    """Error for pixels that GDCM cannot decode."""
 
 
 def decode(path: Path) -> NDArray[np.int32]:
@@ -64,4 +64,4 @@ def decode(path: Path) -> NDArray[np.int32]:
 
 
 REQUIREMENT = "python-gdcm>=3.0.26"
-"""Package of the decoder."""
+"""Requirement of the Python package that contains the decoder."""

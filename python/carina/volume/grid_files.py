@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from carina.display.printable import printable
+from carina.display.escaped_text import printable
 from carina.errors import VolumeImportError
 from carina.volume.bids_sidecar import stated_thickness_mm
 from carina.volume.grid_headers import GridHeader, read_grid_header

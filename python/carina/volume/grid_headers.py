@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from carina.display.printable import shown_value
+from carina.display.escaped_text import shown_value
 from carina.volume.axis_angles import has_right_angles, skew_deg
 from carina.volume.gzip_stream import Unpacker
 from carina.volume.header_fields import GridHeader, HeaderValueError, refuse

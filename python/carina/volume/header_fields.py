@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from carina.display.printable import printable, shown_value
+from carina.display.escaped_text import printable, shown_value
 from carina.errors import VolumeImportError
 from carina.volume.model import Note
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from carina.display.printable import shown_value
+from carina.display.escaped_text import shown_value
 from carina.volume.header_fields import (
     AMBIGUOUS,
     GridHeader,

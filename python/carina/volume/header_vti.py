@@ -15,7 +15,7 @@ from typing import Literal
 
 import numpy as np
 
-from carina.display.printable import shown_value
+from carina.display.escaped_text import shown_value
 from carina.volume.header_fields import GridHeader, HeaderValueError, reals, refuse, take_once, wholes
 from carina.volume.model import Note
 

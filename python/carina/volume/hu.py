@@ -27,7 +27,7 @@ HU_TYPES = ("", "HU", "HU_MOD")
 """Values of RescaleType for Hounsfield units, including a missing tag."""
 
 _INT16 = np.iinfo(np.int16)
-# Largest number of samples of the histogram; a share of 0.2 % is then exact to a thousandth of itself.
+# Largest number of samples of the histogram. A share of 0.2 % is then 8,000 samples, and its error is about 1 % of it.
 _MAX_SAMPLES = 4_000_000
 MAX_DOUBTFUL_SHARE = 0.01
 """Largest share of voxels that were clipped, or are in the body and not finite; above it, the values are not HU."""
@@ -37,7 +37,7 @@ _STRETCHED_TOP = 4095  # 12 bits, as CT and MR scanners use
 
 @dataclass(frozen=True, slots=True)
 class HuVerdict:
-    """Whether values are HU, and if not, the reason for messages."""
+    """Whether the values of a volume are HU, and the reason for messages if they are not."""
 
     is_hu: bool
     reason: str | None
@@ -45,7 +45,7 @@ class HuVerdict:
 
 @dataclass(frozen=True, slots=True)
 class Int16Values:
-    """Values converted to int16, with notes on the conversion."""
+    """Values of a volume converted to int16, with notes on the conversion."""
 
     values: NDArray[np.int16]
     stretched: str | None

@@ -13,7 +13,7 @@ from dataclasses import replace
 from carina.volume.model import Note, VolumeSource
 
 INSERTED = "import.inserted"
-"""Code of the permanent note."""
+"""Code of the permanent note on a CT into which structures were inserted."""
 INSERTED_TITLE = "Inserted nodule: "
 """Beginning of the title of a CT with inserted structures."""
 INSERTED_BEGINNING = "inserted: "

@@ -34,7 +34,7 @@ MAX_WORKERS = 4
 
 @functools.cache
 def has_second_decoder() -> bool:
-    """Return whether PyAV is installed."""
+    """Return whether PyAV, the second decoder for JPEG 2000, is installed."""
     return importlib.util.find_spec("av") is not None
 
 
@@ -119,7 +119,7 @@ class SecondDecoder:
         self._pool.shutdown(wait=False, cancel_futures=True)
 
     def __len__(self) -> int:
-        """Return the number of slices that are checked."""
+        """Return the number of slices whose pixels are compared."""
         return len(self._futures)
 
     def problems(self) -> Iterator[tuple[SliceHeader, str | None]]:

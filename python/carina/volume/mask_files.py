@@ -76,9 +76,9 @@ class MaskGridError(VolumeImportError):
     def __init__(self, message: str, *, expected: str, found: str, share_inside: float) -> None:
         super().__init__(message)
         self.expected = expected
-        """Description of the scan's grid."""
+        """Description of the CT's grid, which the mask should have."""
         self.found = found
-        """Description of the mask's grid."""
+        """Description of the grid that the mask has."""
         self.share_inside = share_inside
         """Share of the structure that is inside the scan, 0 to 1."""
 

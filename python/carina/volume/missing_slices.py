@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from carina.volume.model import Note
 
 MAX_MISSING_IN_GAP = 3
-"""Largest number of neighbouring slices that are interpolated."""
+"""Number of adjacent missing slices up to which they are interpolated."""
 MAX_GAP_MM = 10.0
 """Largest distance in mm of the two slices beside a gap that is filled."""
 MAX_MISSING_SHARE = 0.1

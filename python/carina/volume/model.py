@@ -119,7 +119,7 @@ class VolumeSource:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """Texts of all notes."""
+        """Texts of all notes about the volume."""
         return tuple(note.words for note in self.notes)
 
 

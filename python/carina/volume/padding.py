@@ -27,7 +27,7 @@ from carina.volume.mask_parts import numbered_parts
 from carina.volume.model import Note
 
 AIR_HU = -1024
-"""Lowest value, in HU, that replaces padding: the lowest number of 12-bit CTs."""
+"""Least value in HU that replaces padding: the lowest number of 12-bit CTs."""
 _HARMLESS_HU = -1000
 _NO_TISSUE_HU = 30_710
 _CORNER_HU = 2000
@@ -48,13 +48,13 @@ class PaddedPixels:
     inside: NDArray[np.bool_]
     """(rows, columns); true for pixels that are padding."""
     fill: float
-    """Value in HU that replaces the padding."""
+    """Value in HU that replaces the padding of the slice."""
     value: float
     """The most frequent rescaled value of the padding."""
     num_kept: int
     """Number of pixels with a marked value within the image, which stay unchanged."""
     is_marked: bool
-    """Whether the file states the padding."""
+    """Whether the file states which value is padding."""
 
 
 def padding_ranges(

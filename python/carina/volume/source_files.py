@@ -38,7 +38,7 @@ class SourceFiles:
     num_files: int
     num_bytes: int
     newest_ns: int
-    """Time of the latest change, ns since 1970."""
+    """Time of the latest change of a file, ns since 1970."""
     fingerprint: str
     """Digest of all names, sizes and times."""
 
@@ -82,7 +82,7 @@ class CtSource:
 
     @property
     def is_unchanged(self) -> bool:
-        """Whether size, time and number of all files are unchanged."""
+        """Whether size, time and number of all source files are as they were when the CT was read."""
         return self.now() == self.files
 
     def is_settled(self, now_s: float) -> bool:

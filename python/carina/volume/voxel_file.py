@@ -85,12 +85,14 @@ class _Header(msgspec.Struct, frozen=True):
 def draft_voxel_file(
     folder: Path, name: VoxelName, hu_zyx: NDArray[np.int16], *, cancel: Callable[[], bool] | None = None
 ) -> Draft:
-    """Write voxels to a draft beside the target, readable by this user only; the caller commits the draft.
+    """Write the voxels of a CT to a draft, an unfinished file that only this user can read.
+
+    The caller commits the draft, which gives the file its final name in the same folder.
 
     Parameters
     ----------
     folder, name
-        Folder of the file, and its content.
+        Folder of the final file, and the description of the voxels (digest, shape, axes) from which its name is made.
     hu_zyx
         (nz, ny, nx) int16 with the axes that the name states.
     cancel

@@ -2,7 +2,7 @@
 
 import { Button } from "react-aria-components";
 import { keyOf } from "../input/keymap";
-import { savedText } from "../state/saved-text";
+import { savedText } from "../state/save-status";
 import { useApp, useStation } from "./context";
 import { Tip } from "./controls";
 

@@ -57,7 +57,7 @@ export type IconName = keyof typeof PATHS;
 /** Return the SVG path of an icon in a square of side 16, for drawings outside React. */
 export const outlineOfIcon = (name: IconName): string => PATHS[name];
 
-/** Render a line icon of 16 px. */
+/** Render the line icon of a name, 16 px wide and high; assistive technology ignores it. */
 export function Icon({ name }: { name: IconName }) {
   return (
     <svg className="icon" viewBox="0 0 16 16" aria-hidden="true">

@@ -42,7 +42,7 @@ export function keyFrameHooks(
   };
 }
 
-/** Player of one flight. */
+/** Player of a flight along key frames or of a recorded flight: it sets the time of the pose. */
 export class KeyPlayer {
   readonly #hooks: PlayerHooks;
   #playing = NOT_PLAYING;

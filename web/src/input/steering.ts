@@ -9,7 +9,7 @@ import type { HoldAxis } from "./keymap";
 
 /** Speed of the tip while a movement key is held, mm/s; the trachea takes about four seconds. */
 export const SPEED_MM_S = 25;
-/** Factor that multiplies the speed while Shift is held. */
+/** Factor by which the speed is multiplied while Shift is held. */
 export const SLOW = 0.3;
 /** Angular speed of the view while a turn key is held, rad/s. */
 export const TURN_RAD_S = 1.0;

@@ -26,11 +26,11 @@ export interface UploadProgress {
   numFiles: number;
 }
 
-/** Largest number of files in an upload. */
+/** Number of files of an upload above which it is refused. */
 const MAX_FILES = 4096;
-/** Largest total size of an upload, bytes. */
+/** Total size in bytes of an upload above which it is refused. */
 const MAX_BYTES = 4 * 2 ** 30;
-/** Largest size of one uploaded file, bytes. */
+/** Size in bytes of one file above which the upload is refused. */
 const MAX_FILE_BYTES = 2 * 2 ** 30;
 
 /**

@@ -50,8 +50,8 @@ export class PhoneInput {
   }
 
   /**
-   * Send the input if it has changed or must be repeated; call it once per display refresh. A phone without held
-   * buttons sends nothing, so that other devices can move the tip.
+   * Send the phone's orientation and held buttons if they changed or if it is time to repeat them; call this function
+   * once per display refresh. A phone without held buttons repeats nothing, so that other devices can move the tip.
    */
   tick(nowS: number): void {
     const held = this.#held.has("turn");

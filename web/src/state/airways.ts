@@ -127,7 +127,10 @@ const continuesIn = ({ branch: above }: BranchNode, { branch }: BranchNode): boo
 /** Return the first branch of a branch's row, which represents the row in the list. */
 export const headOf = (node: BranchNode): BranchNode => node.row[0] ?? node;
 
-/** Return the first branches of the child rows of a row: the children of its branches that do not continue the row. */
+/**
+ * Return the first branch of each child row of a row in the branch list. A child row begins with a child that does not
+ * continue the row of its parent.
+ */
 export const rowChildren = (head: BranchNode): BranchNode[] =>
   head.row.flatMap((piece) => piece.children.filter((child) => headOf(child) === child));
 
@@ -196,7 +199,7 @@ export interface TurnBranch {
 /** The openings of a turn in the list of turns. */
 export interface TurnBranches {
   ways: readonly TurnBranch[];
-  /** Whether the hour of the first opening is not reliable. */
+  /** Whether the clock hour of the first opening is not reliable. */
   doubtful: boolean;
   /** Whether the camera is at the viewpoint of the turn, where the listed directions are valid. */
   atViewpoint: boolean;

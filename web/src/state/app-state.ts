@@ -89,7 +89,7 @@ export interface Message {
   readonly action: string | null;
 }
 
-/** Progress of an upload. */
+/** Progress of the upload of files of a CT. */
 export interface Upload {
   readonly sentBytes: number;
   readonly totalBytes: number;
@@ -269,7 +269,7 @@ export interface AppState {
   readonly flownFlight: number | null;
   /** Playback of the recorded flight. */
   readonly replaying: Playing;
-  /** Measured speed of the tip, mm/s; null at rest. */
+  /** Measured speed of the tip, mm/s; null while the tip does not move. */
   readonly speedMmS: number | null;
   readonly ui: Ui;
   /** Look of the case: the server's latest value, with the changes that this page has sent since. */

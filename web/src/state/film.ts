@@ -8,7 +8,7 @@ export type FilmFlight =
   | { readonly kind: "key_frames" }
   | { readonly kind: "recording"; readonly number: number };
 
-/** Sizes of a video, pixels. */
+/** Widths and heights of a video in pixels, by the name of the size. */
 export const FILM_SIZES = {
   small: { label: "640 \u00d7 480", width: 640, height: 480 },
   hd: { label: "1280 \u00d7 720", width: 1280, height: 720 },
@@ -16,7 +16,7 @@ export const FILM_SIZES = {
   square: { label: "1080 \u00d7 1080", width: 1080, height: 1080 },
 } as const;
 
-/** Speeds along a route, mm/s. */
+/** Speeds in mm/s that the user can choose for a video along a route. */
 export const FILM_SPEEDS_MM_S = [5, 10, 20, 40, 80] as const;
 /** Frames per second of a video. */
 export const FILM_RATE_HZ = 30;

@@ -18,7 +18,7 @@ const HOURS_MM = 30;
 export interface ForkAhead {
   /** Distance from the tip to the fork, mm; 0 at the fork or past it. */
   distanceMm: number;
-  /** Whether the tip is near enough to the fork to show clock hours. */
+  /** Whether the tip is near enough to the fork for clock hours to be shown. */
   near: boolean;
   ways: OnwardBranch[];
 }

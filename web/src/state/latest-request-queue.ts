@@ -6,7 +6,7 @@ const LOST_MS = 2000;
 /** Answer to a request at the cursor, with its response time. */
 export interface Answered<Answer> {
   readonly answer: Answer;
-  /** Time from the request to the answer, ms. */
+  /** Time in ms from the request to its answer. */
   readonly tookMs: number;
   /** Whether a later request is waiting, so that this answer is for an earlier cursor position. */
   readonly overtaken: boolean;

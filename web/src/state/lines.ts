@@ -60,7 +60,7 @@ export function lpsAt(geometry: LinesGeometry, pixel: PixelPoint): Vec3 {
   return add(mixPoints(geometry.start, place), scale(mixPoints(geometry.step, place), pixel.column));
 }
 
-/** Number of picture rows over which the direction of the route is computed. */
+/** Number of rows of a curved reformation over which the direction of the route is computed. */
 const LOCAL_ROWS = 12;
 
 /**

@@ -36,7 +36,7 @@ export function livePathLines(answer: LivePathMessage): { lines: readonly string
   return { lines, warns: false };
 }
 
-/** Largest number of characters of the text beside the cursor. */
+/** Number of characters to which the text beside the cursor is shortened. */
 const MAX_CHARS = 90;
 
 /** Return as many whole sentences of a text as fit beside the cursor, at least one. */

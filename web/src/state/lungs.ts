@@ -56,7 +56,7 @@ export function stationsSeen(
   shown: readonly StationOnRoute[],
 ): SeenStation[] {
   const mapped = lungs === null || hidden.includes("stations") ? [] : lungs.stations.flatMap(seenStation);
-  // A mapped station is the same landmark, computed from the same airways.
+  // A station of the route that is also in the map is the same landmark, so only the one of the map is drawn.
   const alone = shown
     .flatMap(seenStation)
     .filter(

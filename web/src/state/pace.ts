@@ -22,7 +22,7 @@ export const NO_PACE: Pace = { fps: null, ageMs: null, waitingMs: 0 };
 const PAUSE_MS = 400;
 /** Weight of the latest interval in the exponential average of the intervals between pictures. */
 const SMOOTHING = 0.15;
-/** Largest number of stored poses without a picture; it bounds the memory. */
+/** Number of poses without a picture above which the oldest one is deleted; it limits the memory. */
 const MAX_POSES = 256;
 
 /** Meter of the frame rate and the latency of the airway view. */

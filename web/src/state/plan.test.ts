@@ -116,7 +116,7 @@ describe("other instruments", () => {
     expect(othersText(verdicts("cannot say"), "had")).toBe("1 other instruments: 0 reach it, 0 may reach it");
   });
 
-  it("The text states that verdicts are incomplete.", () => {
+  it("The text ends with 'so far' while the verdicts on the other instruments are being computed.", () => {
     expect(othersText(verdicts("reaches"), "making")).toBe("1 other instruments: 1 reach it, 0 may reach it so far");
   });
 });

@@ -1,8 +1,8 @@
-/** State of the playback of a flight. */
+/** Playback of a flight: whether it runs, its time and its rate. */
 
 import { fixed } from "./format";
 
-/** State of the playback of a flight. */
+/** State of the playback of one flight. */
 export interface Playing {
   readonly on: boolean;
   /** Current position in the flight, s; the last one if the playback is paused. */
@@ -10,7 +10,7 @@ export interface Playing {
   readonly rate: number;
 }
 
-/** State of a playback that has not been started. */
+/** State of the playback of a flight that has not been started. */
 export const NOT_PLAYING: Playing = { on: false, atS: 0, rate: 1 };
 /** Playback rates that the user can select, as factors of the real time. */
 export const PLAY_RATES = [0.5, 1, 2] as const;

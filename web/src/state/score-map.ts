@@ -14,7 +14,7 @@ export interface MapLine {
   readonly at: number | null;
 }
 
-/** Highest generation of a drawn branch. */
+/** Generation of branches beyond which the map of the score draws no branch. */
 const MAX_GENERATION = 5;
 
 /** Return the lines of the map: the branches of low generation, those of segments with the time of their view. */

@@ -34,7 +34,7 @@ export function sectionOf(surface: Surface, origin: Vec3, normal: Vec3): [Vec3, 
   return lines;
 }
 
-/** Step of the visibility test along the line of sight, mm. */
+/** Step in mm of the test along the line of sight whether a point is visible. */
 const LOOK_MM = 1.5;
 /**
  * Distance beyond the lumen's radius, mm, at which a point of the line of sight still counts as inside, because the

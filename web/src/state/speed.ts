@@ -11,7 +11,7 @@ export const AUTO_SPEEDS_MM_S = [2, 5, 10, 20, 30, 50, 100] as const;
 const WINDOW_MS = 600;
 /** Shortest time span of a measured speed, ms; a shorter span gives a noisy speed. */
 const MIN_MS = 200;
-/** Time without a pose, ms, after which the tip counts as resting. */
+/** Time in ms without a new pose after which the tip counts as not moving. */
 const STILL_MS = 300;
 /**
  * Largest step between two poses, mm, that counts as movement; a larger step is a jump. It corresponds to 500 mm/s, the
@@ -46,7 +46,7 @@ export class SpeedMeter {
     while ((this.#steps[0]?.atMs ?? nowMs) < nowMs - WINDOW_MS) this.#steps.shift();
   }
 
-  /** Return the speed of the tip, mm/s; null at rest. */
+  /** Return the speed of the tip in mm/s; null if the tip does not move. */
   read(nowMs: number): number | null {
     const last = this.#steps.at(-1);
     if (last === undefined || nowMs - last.atMs > STILL_MS) return null;

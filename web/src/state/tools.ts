@@ -154,7 +154,7 @@ export const isBrush = (armed: Armed | null): armed is "paint" | "erase" | Lesio
 
 /** Brush radii that the keys select, mm. */
 const BRUSHES_MM = [0.5, 0.75, 1, 1.5, 2, 3, 4, 6, 8, 12] as const;
-/** Initial brush radius, mm. */
+/** Initial radius of the brush, mm. */
 export const FIRST_BRUSH_MM = 1.5;
 
 /** Return the next larger (+1) or smaller (-1) brush radius, mm; the last one of the list at its ends. */
@@ -182,5 +182,5 @@ export function strokePoints<P extends readonly [number, number, number]>(drawn:
   return reduced.slice(0, MAX_STROKE);
 }
 
-/** Largest number of points of a stroke that the protocol accepts. */
+/** Largest number of points of a brush stroke that the protocol accepts. */
 const MAX_STROKE = 2000;

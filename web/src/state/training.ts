@@ -104,10 +104,10 @@ export interface ScoreRow {
   readonly references: readonly string[];
 }
 
-/** Number of segments of the published list. */
+/** Number of segments that the published scores count. */
 const NUM_PUBLISHED = 18;
 
-/** Return the rows of the published scores. */
+/** Return the rows of the table of published scores. */
 export function publishedRows(score: FlightScore, groups: readonly ReferenceScores[]): readonly ScoreRow[] {
   const { published: found } = score;
   const numCase = score.seen.length + score.not_seen.length;
@@ -148,7 +148,7 @@ export function publishedRows(score: FlightScore, groups: readonly ReferenceScor
   ];
 }
 
-/** Return the rows of the measures for which no threshold is published. */
+/** Return the rows of the table of measures for which no threshold is published. */
 export function unmarkedRows({ unmarked: found, is_inspection, ...score }: FlightScore): readonly ScoreRow[] {
   const row = (title: string, value: string, words: string): ScoreRow => ({ title, value, words, references: [] });
   return [

@@ -11,12 +11,12 @@ export type { TreeIndex } from "./branch-tree";
 /** A position on the tree: a branch, and the nearest point of its centreline. */
 export interface TreePlace {
   readonly branchId: number;
-  /** Distance along the branch from its beginning to the point, mm. */
+  /** Distance in mm from the beginning of the branch to the found point, along the branch. */
   readonly alongMm: number;
   /** Point on the centreline, LPS mm. */
   readonly lps: Vec3;
   readonly radiusMm: number;
-  /** Distance from the searched point to the centreline, mm. */
+  /** Distance in mm from the searched point to the nearest centreline. */
   readonly distanceMm: number;
 }
 

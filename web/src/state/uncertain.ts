@@ -4,7 +4,7 @@
 
 import type { UncertainPlace } from "../wire/messages";
 
-/** A group of places of the same kind. */
+/** Group of uncertain places of the same kind, which the list shows together. */
 export interface UncertainGroup {
   /** Explanation that all places of the group have in common; null if each place has its own text. */
   readonly why: string | null;

@@ -15,7 +15,7 @@ export interface WallPoint {
   readonly generation: number | null;
 }
 
-/** Largest number of stored wall points: two, for a distance measurement. */
+/** Largest number of marked wall points: two, for a distance measurement; a third one replaces the oldest. */
 const MAX_POINTS = 2;
 
 /**

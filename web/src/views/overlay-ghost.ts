@@ -6,7 +6,7 @@ import { INK, type Ink, label } from "./ink";
 import type { Scene } from "./scene";
 import type { Viewport } from "./viewport";
 
-/** Radius of the outline, mm: that of the tip of a usual bronchoscope. */
+/** Radius in mm of the drawn outline of the expert's tip: that of a usual bronchoscope. */
 const TIP_MM = 2.5;
 
 /** Draw the outline of the expert's tip; nothing if no ghost is shown or the tip is not in the picture. */

@@ -24,7 +24,7 @@ const AXIS_PX = 7;
 const AXIS_ROOM_PX = 66;
 /** Space beside a strip for the names of the branches, CSS px. */
 const NAMES_ROOM_PX = 110;
-/** Length of a tick of the distance axis, CSS px. */
+/** Length of a tick of the axis with the distances along the route, CSS px. */
 const TICK_PX = 4;
 /** Smallest distance between two ticks of the distance axis, CSS px. */
 const TICKS_APART_PX = 30;
@@ -85,7 +85,7 @@ function sidesOf(viewport: Viewport, geometry: LinesGeometry, isStrip: boolean):
   };
 }
 
-/** Return the rows of the picture that show the route, both ends included. */
+/** Return the rows of the picture between start and end of the route, both included. */
 function rowsOnPath(geometry: LinesGeometry): number[] {
   const first = pixelOfPath(geometry, geometry.pathMm[0] ?? 0)?.row ?? 0;
   const last = pixelOfPath(geometry, geometry.pathMm.at(-1) ?? 0)?.row ?? 0;

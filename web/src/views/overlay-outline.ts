@@ -11,14 +11,14 @@ import { LOBE_COLOURS } from "./overlay-names";
 import type { Scene } from "./scene";
 import type { Viewport } from "./viewport";
 
-/** Width of the lumen outline, CSS px. */
+/** Width of the drawn lumen outline, CSS px. */
 const OUTLINE_PX = 1.25;
 /**
  * Opacity of the lumen outline on a thick slice; the outline is valid for one plane and differs in the others of the
  * slab.
  */
 const SLAB_ALPHA = 0.6;
-/** Width of a centreline, CSS px. */
+/** Width of a drawn centreline, CSS px. */
 const LINE_PX = 1.5;
 /** Radius of the lumen, px, below which its outline is thinner, so that the lumen stays visible. */
 const NARROW_PX = 4;

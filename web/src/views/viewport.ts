@@ -178,7 +178,7 @@ export class Viewport {
     };
   }
 
-  /** Size of a picture pixel, CSS px. */
+  /** Size of a pixel of the picture on the screen, CSS px. */
   get magnification(): number {
     return this.header === null ? 1 : this.#pictureOnHost(this.header).width / this.header.width;
   }

@@ -36,7 +36,7 @@ export interface OpenSeriesMessage {
   readonly key: string;
 }
 
-/** Open a bundled case. */
+/** Open a case that is bundled with Carina. */
 export interface OpenDemoMessage {
   readonly type: "open_demo";
   readonly name: "patient" | "phantom";
@@ -68,7 +68,7 @@ export interface ForgetCaseMessage {
   readonly recent_id: string;
 }
 
-/** Restore a deleted case. */
+/** Restore a case that the user deleted within the last 24 hours. */
 export interface RestoreCaseMessage {
   readonly type: "restore_case";
   readonly recent_id: string;
@@ -95,18 +95,18 @@ export interface CloseCaseMessage {
   readonly type: "close_case";
 }
 
-/** Stop a job of `progress`. */
+/** Stop a background job that `progress` lists. */
 export interface CancelMessage {
   readonly type: "cancel";
   readonly job_id: string;
 }
 
-/** Undo the last change. */
+/** Undo the case's last change that was not undone. */
 export interface UndoMessage {
   readonly type: "undo";
 }
 
-/** Redo the last undone change. */
+/** Redo the case's last undone change. */
 export interface RedoMessage {
   readonly type: "redo";
 }
@@ -220,7 +220,7 @@ export interface EditTreeMessage {
   readonly edit: EditAddBranch | EditCutBranch | EditBridge | EditMoveRoot | EditMoveFork | EditPaintLumen | EditSmoothBranch | EditRenameBranch;
 }
 
-/** Remove a disconnected device. */
+/** Remove a device that was disconnected from the list of devices. */
 export interface DeviceGoneMessage {
   readonly type: "device_gone";
   readonly device: string;
@@ -259,7 +259,7 @@ export interface DeviceControls {
   readonly derivative_cutoff_hz?: number;
 }
 
-/** Set gains, clutch, speeds and filter of devices. */
+/** Set gains, clutch, speeds and filter of the input devices. */
 export interface SetControlsMessage {
   readonly type: "set_controls";
   readonly controls: DeviceControls;
@@ -339,7 +339,7 @@ export interface SteerMessage {
   readonly roll_rad: number;
 }
 
-/** Set the mode: free movement, or movement along the path. */
+/** Set the mode of movement: free, or along the path. */
 export interface SetModeMessage {
   readonly type: "set_mode";
   readonly mode: "free" | "path" | "scope";
@@ -386,12 +386,12 @@ export interface LevelHorizonMessage {
   readonly type: "level_horizon";
 }
 
-/** Look along the path again. */
+/** Turn the view back to the direction of the path. */
 export interface ResetLookMessage {
   readonly type: "reset_look";
 }
 
-/** Set the position of the operator. */
+/** Set the position of the operator: at the patient's head, or facing the patient. */
 export interface SetOperatorMessage {
   readonly type: "set_operator";
   readonly position: "facing" | "head";
@@ -429,7 +429,7 @@ export interface KeyFrameSpeed {
   readonly speed_mm_s: number | null;
 }
 
-/** Delete a key frame. */
+/** Delete a key frame from the flight. */
 export interface KeyFrameRemove {
   readonly kind: "remove";
   readonly key_id: string;
@@ -461,7 +461,7 @@ export interface FlyKeyFramesMessage {
   readonly goes_on?: boolean;
 }
 
-/** Set the full angle of the airway view across the shorter side. */
+/** Set the field of view of the airway view: the full angle across the shorter side of its picture. */
 export interface SetFovMessage {
   readonly type: "set_fov";
   readonly fov_deg: number;
@@ -567,7 +567,7 @@ export interface AnswerMaskMessage {
   readonly resample?: boolean;
 }
 
-/** Discard the mask of `state.mask_question`. */
+/** Discard the imported mask about which `state.mask_question` asks. */
 export interface DismissMaskMessage {
   readonly type: "dismiss_mask";
 }

@@ -23,11 +23,11 @@ use carina_leastcost::{TrackError, Watch};
 pub struct WayLevels {
     /// Rise of the values to a wall that most lung voxels do not reach; the cost is lowest at twice this rise.
     pub enclosed: f64,
-    /// Largest value of the air in a wide airway.
+    /// Largest voxel value of the air in a wide airway; such a voxel needs no wall to be cheap.
     pub dark: f64,
-    /// Value above which the cost of a step increases with the brightness.
+    /// Voxel value above which the cost of a step increases with the brightness.
     pub bright: f64,
-    /// Largest value of a voxel that a path may enter.
+    /// Voxel value above which a path may not enter a voxel.
     pub closed: f64,
 }
 
@@ -43,7 +43,7 @@ const STRAIGHT_AFTER_VOXELS: usize = 25_000;
 const MAX_VOXELS: usize = 300_000;
 /// Edge length of a block of the cache, in voxels.
 const BLOCK: usize = 8;
-/// Number of voxels of a block of the cache.
+/// Number of voxels of one block of the cache of weights.
 const BLOCK_VOXELS: usize = BLOCK * BLOCK * BLOCK;
 /// Mark of a voxel whose enclosure has not been computed.
 const UNKNOWN: i16 = i16::MIN;
@@ -53,7 +53,7 @@ const NO_STEP: u8 = 255;
 /// Lumen voxels at the tips of branches; a path that ends there is preferred to one that ends at a wall.
 #[derive(Debug, Clone, Default)]
 pub struct PreferredTips {
-    /// Voxels at the tips.
+    /// Indices of the lumen voxels at the tips of branches.
     pub voxels: HashSet<[usize; 3]>,
     /// Largest cost by which a path to a tip may exceed the best path to any lumen.
     pub allowance: f64,
@@ -73,7 +73,7 @@ pub struct Enclosures {
 pub struct EvidencePath {
     /// Voxels of the path; the first is in the lumen.
     pub voxels: Vec<[usize; 3]>,
-    /// Sum over the steps of the path: length in mm times weight.
+    /// Cost of the path: the sum over its steps of length in mm times weight.
     pub cost: f64,
 }
 
@@ -385,9 +385,9 @@ struct Search {
 #[derive(Debug)]
 struct Block {
     rise: [i16; BLOCK_VOXELS],
-    /// Number of the last search that computed the weight of the voxel.
+    /// Number of the last search that computed the weight of each voxel.
     seen: [u32; BLOCK_VOXELS],
-    /// Number of the last search that reached the voxel.
+    /// Number of the last search that reached each voxel.
     met: [u32; BLOCK_VOXELS],
     weight: [f32; BLOCK_VOXELS],
     cost: [f32; BLOCK_VOXELS],

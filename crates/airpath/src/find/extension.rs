@@ -28,7 +28,7 @@ use carina_leastcost::{TrackError, Watch};
 pub struct Extension {
     /// Accepted paths; each path comes before the paths that branch off it.
     pub followed: Vec<Followed>,
-    /// Number of voxels added to the lumen.
+    /// Number of voxels that the extension added to the lumen.
     pub num_voxels: usize,
     /// Threshold of the enclosure in the volume's numbers, which 98 % of the lung does not reach.
     pub enclosed: f64,

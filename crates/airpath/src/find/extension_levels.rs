@@ -3,28 +3,28 @@
 use crate::find::lung_sample::{LungSample, quantile};
 use crate::find::tubeness::Enclosure;
 
-/// Limits of the extension.
+/// Limits of the search that extends airways beyond the end of the flood.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ExtensionLimits {
-    /// Value of the air in the trachea.
+    /// Voxel value of the air in the trachea.
     pub air: f64,
-    /// Smallest and largest value of voxels that count as lung.
+    /// Smallest and largest value of the voxels that count as lung.
     pub lung: (i16, i16),
-    /// Largest smoothed value of a voxel that can be lumen.
+    /// Smoothed voxel value above which a voxel cannot be lumen.
     pub brightest: i16,
-    /// Smallest rise from a lumen to its wall, independent of the lung.
+    /// Smallest rise of the values from a lumen to its wall that counts, whatever the noise of this lung.
     pub least_rise: f64,
-    /// Longest path through less enclosed voxels, mm.
+    /// Longest part of a path through voxels that walls enclose less, mm; a path with a longer part is not followed.
     pub gap_mm: f64,
     /// Smallest length by which a path must lead out of the known lumen, mm.
     pub min_length_mm: f64,
-    /// Factor of the enclosure threshold that this volume's lung gives; normally 1.
+    /// Factor by which the enclosure threshold computed from the volume's lung is multiplied; normally 1.
     pub raised: f64,
     /// Largest share of the lung that the search may reach before it is cancelled.
     pub most_reached: f64,
-    /// Smallest accepted probability of a path together with all paths that it leaves.
+    /// Smallest probability, that a path and all its ancestors are airways, at which the path is added to the tree.
     pub least_probability: f64,
-    /// How thick slices were divided; None if voxels have the CT's own size.
+    /// Division of thick slices into thinner ones before the search; `None` if the voxels have the size of the CT's.
     pub divided: Option<Divided>,
 }
 
@@ -52,31 +52,31 @@ pub struct Divided {
 /// Airway that was followed beyond the end of the flood.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Followed {
-    /// Voxels of its centreline, from the lumen outwards.
+    /// Voxels of the airway's centreline, from the lumen outwards.
     pub voxels: Vec<u32>,
-    /// Length, mm.
+    /// Length of the airway's centreline, mm.
     pub length_mm: f64,
-    /// Probability that this path and all paths that it leaves are airways.
+    /// Probability that this path and all its ancestors are airways.
     ///
-    /// The value is 1 for the thinnest airways, which are judged in another way.
+    /// The value is 1 for the thinnest airways, which are accepted by the tube filter instead.
     pub probability: f64,
     /// Mean rise to the wall divided by the threshold from the lung (a value of 1 equals the most enclosed fiftieth of
     /// the lung).
     pub contrast: f64,
 }
 
-/// Value of voxels in the lumen that was found before.
+/// Mark of a voxel in the lumen that the flood found.
 pub(crate) const LUMEN: u8 = 1;
-/// Value of voxels that the extension adds to the lumen.
+/// Mark of a voxel that the extension adds to the lumen.
 pub const EXTENDED: u8 = 2;
-/// Value of voxels that the search has reached and that are not part of the lumen yet.
+/// Mark of a voxel that the search has reached and that is not part of the lumen yet.
 pub(crate) const PENDING: u8 = 3;
-/// Value of voxels that are too bright or too little enclosed to be reached.
+/// Mark of a voxel that is too bright or too little enclosed by walls to be reached.
 pub(crate) const REFUSED: u8 = 4;
 
-/// Share of the lung that is less enclosed than followed voxels.
+/// Share of the lung's voxels that walls enclose less than the voxels that a path may follow.
 const FOLLOWED_SHARE: f64 = 0.98;
-/// Share of the lung that is less enclosed than the mean of an accepted path.
+/// Share of the lung's voxels that walls enclose less than an accepted path does on average.
 const ACCEPTED_SHARE: f64 = 0.995;
 
 /// Largest fall of the values along a path, in thresholds.
@@ -84,16 +84,16 @@ const ACCEPTED_SHARE: f64 = 0.995;
 /// Along an airway the values rise, because its lumen narrows and the blur of its wall increases. A path whose values
 /// rise and fall again by more than this has crossed a wall into the lung.
 const DROP: f64 = 8.0;
-/// Lower limit of the largest fall, as a fraction of the step from air to half of a wall, for volumes with little noise.
+/// Lower limit of `drop`, as a fraction of the step from air to half of a wall, for volumes with little noise.
 const MIN_DROP: f64 = 0.4;
 
-/// Smallest enclosure of a voxel in a gap, as a fraction of the threshold.
+/// Smallest enclosure of a voxel in a gap of a path, as a fraction of the threshold for followed voxels.
 const GAP_SHARE: f64 = 0.3;
 
-/// Least probability of a way in divided slices that has no wall on one side.
+/// Probability from which a path in divided slices is accepted although one side has no wall.
 const SURE_PROBABILITY: f64 = 0.8;
 
-/// Thresholds of the enclosure.
+/// Thresholds that were computed from the lung of one volume.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Levels {
     pub(crate) followed: i16,
@@ -101,7 +101,8 @@ pub(crate) struct Levels {
     pub(crate) gap: i16,
     /// Largest fall of the values along a path after a rise; a path with a larger fall has crossed a wall.
     pub(crate) drop: f64,
-    /// Largest number of reached voxels; airways beyond the flood are a small part of the lung.
+    /// Number of reached voxels above which the search is cancelled; airways beyond the flood are a small part of the
+    /// lung.
     pub(crate) most_reached: usize,
 }
 

@@ -35,7 +35,7 @@ pub(crate) const WAY_WEIGHTS_DIVIDED: [f64; 5] = [-7.64, 1.03, 0.61, -2.82, 3.95
 
 /// Blur (sigma) within the slices, mm.
 const BLUR_IN_SLICE_MM: f64 = 0.65;
-/// Smallest blur (sigma) across the slices, mm.
+/// Smallest blur (sigma) across the slices, mm, that the judgement of a path assumes.
 const MIN_BLUR_ACROSS_MM: f64 = 0.5;
 
 /// Blur and noise by which the values of a lumen in the volume differ from its true values.

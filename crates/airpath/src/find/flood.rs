@@ -22,7 +22,7 @@ pub struct FloodLimits {
     pub first_level: i16,
     /// Upper limit of tracheal air and its noise; above this level the surroundings of basins are tested.
     pub core_level: i16,
-    /// Level at which the flood ends, half-way between lumen and wall.
+    /// Voxel level at which the flood ends, half-way between lumen and wall.
     pub last_level: i16,
     /// Largest volume of a basin up to the core level, mm^3; a larger basin is a leak.
     pub leak_mm3: f64,
@@ -39,21 +39,21 @@ pub struct FloodLimits {
 pub struct Flood {
     /// Mask of the lumen: 1 inside, 0 outside.
     pub lumen: Vec<u8>,
-    /// Number of voxels in the lumen.
+    /// Number of voxels in the lumen that the flood found.
     pub num_voxels: usize,
-    /// Entry voxel and level of each leak that was closed.
+    /// Voxel at which each closed leak left the airways, and the level at which it did.
     pub leaks: Vec<([usize; 3], i16)>,
-    /// Number of basins that were rejected because they have no wall around them.
+    /// Number of basins (connected dark regions) that were rejected because they have no wall around them.
     pub num_without_wall: usize,
 }
 
-/// State of a voxel that the flood has not met.
+/// State of a voxel that the flood has not met yet.
 const UNKNOWN: u8 = 0;
 /// State of a voxel in the lumen.
 const LUMEN: u8 = 1;
 /// State of a voxel that was above the level when the flood met it and that is listed under its own level.
 const WAITING: u8 = 2;
-/// State of a voxel that is closed permanently.
+/// State of a voxel that the flood never enters, because it is part of a leak.
 const CLOSED: u8 = 3;
 
 /// Flood the airways from `seeds` (voxels of the trachea) up to the last level.

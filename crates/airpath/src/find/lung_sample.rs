@@ -2,9 +2,9 @@
 
 use rayon::prelude::*;
 
-/// Number of sampled voxels that are measured at most.
+/// Largest number of sampled voxels whose surroundings are measured, which limits the time.
 const MAX_MEASURED: usize = 20_000;
-/// Least number of sampled voxels from which a quantile is read.
+/// Number of sampled voxels below which no quantile is read, so that the search has no threshold.
 const MIN_SAMPLES: usize = 2_000;
 /// Strides of the sample, largest first. They are primes, so that they have no factor in common with rows and slices.
 const STRIDES: [usize; 6] = [1009, 499, 251, 127, 61, 31];

@@ -5,7 +5,7 @@ use rayon::prelude::*;
 /// Region, air value and sizes for a search for pieces of air.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct PieceLimits {
-    /// Largest value of air.
+    /// Largest voxel value that counts as air.
     pub darkest: i16,
     /// First voxel (i, j, k) of the box to search, and the first voxel beyond the box.
     ///
@@ -14,7 +14,7 @@ pub struct PieceLimits {
     /// Smallest number of face neighbours, in the lumen or not, with values up to `darkest`; a voxel with fewer is
     /// noise.
     pub least_neighbours: usize,
-    /// Smallest and largest number of voxels of a piece.
+    /// Smallest and largest number of voxels of a listed piece of air.
     pub voxels: (usize, usize),
     /// Largest number of air voxels in the box; with more, pieces have no meaning and the search returns none.
     pub most_air: usize,

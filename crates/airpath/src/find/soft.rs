@@ -9,13 +9,13 @@ use crate::find::tubeness::{Enclosure, REACH_MM, smoothed};
 /// One Gaussian blur of the mixture that [`mixed`] adds.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Blur {
-    /// Weight of this blur in the sum.
+    /// Weight of this Gaussian in the sum of Gaussians.
     pub weight: f64,
     /// Standard deviation of the Gaussian, mm.
     pub sigma_mm: f64,
 }
 
-/// Radius at which a Gaussian is truncated, in sigmas.
+/// Distance in sigmas beyond which a Gaussian is truncated.
 const REACH_SIGMAS: f64 = 3.0;
 /// Sigma in voxels below which a Gaussian is replaced by no blur, because its weights for the next voxel are
 /// negligible.
@@ -79,13 +79,13 @@ pub fn mixed(
 /// Parameters of the restoration of values that the sharp volume has clipped at its lowest value.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct CutOff {
-    /// Lowest value of the sharp volume.
+    /// Lowest voxel value of the sharp volume, at which darker values were clipped.
     pub floor: i16,
-    /// Value of air in the softened volume.
+    /// Voxel value of air in the softened volume.
     pub air: i16,
-    /// Largest value of the softened volume that only air has.
+    /// Voxel value of the softened volume up to which a voxel is certainly air.
     pub certain: i16,
-    /// Smallest rise from a clipped lumen to its wall.
+    /// Smallest rise of the values from a clipped lumen to its wall; darker surroundings are not airway.
     pub rise: i16,
     /// Width of the dark seam that a sharp kernel creates inside a wall, mm.
     pub seam_mm: f64,

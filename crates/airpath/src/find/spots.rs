@@ -6,9 +6,9 @@ use carina_grid::{Grid, Ijk, VolumeView, length};
 /// Value levels of a CT that distinguish air, lung and tissue.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct AirLevels {
-    /// Largest value of air.
+    /// Largest voxel value that counts as air.
     pub air: i16,
-    /// Smallest value of a wall of soft tissue.
+    /// Smallest voxel value of a wall of soft tissue.
     pub tissue: i16,
     /// Range of values of lung; `None` if the volume shows no lung (a painted mask), so that the search does not
     /// require lung.
@@ -31,11 +31,11 @@ pub(crate) struct Spot {
     middle: u32,
 }
 
-/// Number of directions in which the search looks for tissue round a spot.
+/// Number of directions in a slice in which tissue is searched round a spot of air.
 const NUM_DIRECTIONS: usize = 24;
-/// Smallest area of a spot of air, mm2.
+/// Area in mm2 below which a spot of air is no candidate for an airway.
 const MIN_AREA_MM2: f64 = 12.0;
-/// Largest area of a spot of air, mm2.
+/// Area in mm2 above which a spot of air is no candidate for an airway.
 const MAX_AREA_MM2: f64 = 900.0;
 
 impl Spot {

@@ -11,29 +11,29 @@ use carina_leastcost::{TrackError, Watch};
 
 use crate::find::extension_levels::{EXTENDED, Followed, LUMEN};
 use crate::find::lung_sample::{LungSample, quantile};
+use crate::find::thin_paths::{Dips, Reached, Ways};
 use crate::find::thin_profile::{Place, Profile, Requirements, length_mm};
-use crate::find::thin_reach::{Dips, Reached, Ways};
 use crate::find::tube_filter::{ThinSection, TubeFilter, across, sides};
 use crate::find::tubeness::smoothed;
 
-/// Limits of the search; values are in the volume's numbers.
+/// Limits of the search for thin airways; values are voxel values of the volume.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ThinLimits {
-    /// Value of the air in the trachea.
+    /// Voxel value of the air in the trachea.
     pub air: f64,
-    /// Range of values of lung, for the calibration's sample.
+    /// Smallest and largest value of the voxels that count as lung in the sample for the thresholds.
     pub lung: (i16, i16),
-    /// Largest smoothed value of a voxel that can be lumen.
+    /// Smoothed voxel value above which a voxel cannot be lumen.
     pub brightest: i16,
-    /// Smallest value of a wall: brighter than lung.
+    /// Smallest voxel value of an airway's wall, which is brighter than lung.
     pub least_wall: f64,
     /// Smallest dip of the voxels of a path; a larger threshold from the lung replaces it.
     pub least_dip: f64,
-    /// Smallest dip of an airway, averaged along it.
+    /// Mean dip along an airway below which the airway is dropped.
     pub kept_dip: f64,
     /// Upper limit of the blur of the CT (sigma), mm.
     pub blur_mm: f64,
-    /// Smallest length of an airway that continues from the end of another, mm.
+    /// Length in mm below which a path that continues the end of an airway is dropped.
     pub min_length_mm: f64,
     /// Smallest length of an airway that leaves from the side of another, mm.
     ///
@@ -48,17 +48,17 @@ pub struct ThinLimits {
 pub struct Thin {
     /// Airways; an airway comes before those that leave it.
     pub followed: Vec<Followed>,
-    /// Number of voxels reached before paths were judged.
+    /// Number of voxels that the search reached, before it judged any path.
     pub num_reached: usize,
     /// Whether the search reached more of the lung than airways can: nothing was added.
     pub ran_out: bool,
 }
 
-/// Share of the lung whose voxels have a smaller dip than followed voxels.
+/// Share of the lung's voxels whose dip is smaller than that of the voxels that a path may follow.
 const FOLLOWED_SHARE: f64 = 0.985;
-/// Distance from an accepted path within which voxels are not separate tips, mm.
+/// Distance in mm from an accepted path within which no other path may end.
 const COVER_MM: f32 = 2.0;
-/// Distance from a rejected path within which voxels are not separate tips, mm.
+/// Distance in mm from a rejected path within which no other path may end.
 const COVER_REFUSED_MM: f32 = 1.0;
 /// Largest gain of a path by one voxel, in thresholds.
 ///
@@ -75,7 +75,7 @@ const NUM_START: usize = 7;
 const BEHIND_MM: [f64; 2] = [1.2, 2.4];
 /// Distance to the side of the places behind the start at which voxels are examined for lumen, mm.
 const BESIDE_MM: f64 = 2.0;
-/// Largest number of the 8 examined sides that may be lumen.
+/// Number of the 8 examined sides with lumen above which a path leaves an airway's side and does not continue its end.
 const MAX_BESIDE: usize = 3;
 
 /// Follow thin airways from `lumen` (1 inside, 0 outside) in place: added voxels get [`EXTENDED`].

@@ -8,7 +8,7 @@ use carina_leastcost::lumen::interpolated;
 
 use crate::find::tube_filter::{NUM_SIDES, ROUNDNESS, ThinSection, across, sides};
 
-/// Distance between positions along a path, mm.
+/// Distance in mm between the examined positions along a path.
 pub(crate) const EVERY_MM: f64 = 0.5;
 /// Number of positions on each side of a position over which values are averaged: 5 mm of path in total.
 const NUM_MEAN: usize = 5;
@@ -20,7 +20,7 @@ const NUM_DIRECTION: usize = 3;
 const OFFSETS_MM: [f64; 2] = [0.25, 0.5];
 /// Number of positions that are compared: the path itself and eight directions for each offset.
 const NUM_OFFSETS: usize = 1 + 8 * OFFSETS_MM.len();
-/// Number of times that a path is moved to the darkest positions.
+/// Number of rounds in which each position of a path moves to the darkest position near it.
 const NUM_CENTRED: usize = 2;
 /// Distances from the middle of a path at which the values of its sides are read, mm.
 const DISTANCES_MM: [f64; 8] = [0.6, 0.8, 1.0, 1.25, 1.6, 2.1, 2.6, 3.2];
@@ -30,7 +30,7 @@ const NUM_CRESTS: usize = 6;
 ///
 /// The limit prevents that one bright wall compensates for a long part without wall.
 const MAX_GAIN: f64 = 3.0;
-/// Smallest mean dip of an accepted path, in thresholds of the dip.
+/// Mean dip of a path, in thresholds of the dip, below which the path is rejected.
 const ACCEPTED_MEAN: f64 = 1.2;
 /// Smallest share of the positions of an accepted path that look like an airway.
 const ACCEPTED_SHARE: f64 = 0.75;
@@ -38,7 +38,7 @@ const ACCEPTED_SHARE: f64 = 0.75;
 const FARTHEST_CREST_MM: f64 = 1.3;
 /// Smallest mean number of the 8 sides with lung behind the wall; an artery is behind the others.
 const MIN_THIN: f64 = 4.5;
-/// Largest standard deviation of the radius along a thin airway, mm.
+/// Standard deviation in mm of the radius along a path above which the path is not a thin airway.
 const STEADY_MM: f64 = 0.06;
 
 /// Number of positions at the start of a path whose brightness is compared with the median of the path.
@@ -210,7 +210,7 @@ fn median(places: &[Place], value: impl Fn(&Place) -> f64) -> f64 {
     values[values.len() / 2]
 }
 
-/// Return the length in mm of `num` positions.
+/// Return the length in mm of a path of `num` positions.
 pub(crate) fn length_mm(num: usize) -> f64 {
     EVERY_MM * num as f64
 }

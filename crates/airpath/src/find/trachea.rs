@@ -21,7 +21,7 @@ use crate::find::spots::{
 };
 use carina_leastcost::{TrackError, Watch};
 
-/// Part of the expected anatomy round a trachea that is missing.
+/// Part of the anatomy that is expected round a trachea and that was not found.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Doubt {
     /// The volume begins less than 18 mm above the carina and cuts the trachea off.
@@ -41,7 +41,7 @@ pub struct Trachea {
     pub voxels: Vec<[usize; 3]>,
     /// Diameter at each voxel of the circle with the area of the trachea in that slice, mm.
     pub diameters_mm: Vec<f64>,
-    /// Length of the trachea in the volume, mm.
+    /// Length of the trachea's part in the volume, mm.
     pub length_mm: f64,
     /// Position of the carina, LPS.
     pub carina_lps: [f64; 3],
@@ -53,17 +53,17 @@ pub struct Trachea {
 /// Criteria for the two tubes below a division.
 #[derive(Debug, Clone, Copy)]
 struct SplitRule {
-    /// Length over which both tubes are followed down, mm.
+    /// Length in mm over which both tubes below a division are followed down.
     follow_mm: f64,
-    /// Smallest diameter of the wider tube, mm.
+    /// Smallest diameter in mm of the wider of both tubes.
     wider_mm: f64,
-    /// Smallest diameter of the narrower tube, mm.
+    /// Smallest diameter in mm of the narrower of both tubes.
     narrower_mm: f64,
     /// Largest distance between the two tubes from front to back, mm; the oesophagus is farther behind.
     front_back_mm: f64,
 }
 
-/// Smallest length of trachea in the volume, mm.
+/// Length in mm in the volume below which a tube is not accepted as trachea.
 const MIN_LENGTH_MM: f64 = 18.0;
 /// Smallest length inside the volume of a trachea that begins outside the volume, mm.
 const MIN_CUT_OFF_MM: f64 = 8.0;
@@ -79,7 +79,7 @@ const STRICT_RINGED: f64 = 0.8;
 const STRICT_SLANT: f64 = 0.6;
 /// Smallest distance by which a single main bronchus leaves the straight line of the trachea, mm.
 const ASIDE_MM: f64 = 10.0;
-/// Largest ratio of the areas of a trachea in successive slices.
+/// Ratio of areas in successive slices above which a tube is not followed as the same trachea.
 const TRACHEA_CHANGE: f64 = 2.2;
 /// Largest ratio of the areas of a bronchus in successive slices, one of which may cut a horizontal branch.
 const BRONCHUS_CHANGE: f64 = 5.0;
@@ -99,9 +99,10 @@ const NARROW_BRONCHUS: SplitRule = SplitRule {
 };
 /// Smallest diameter of a twin (a similar tube beside a candidate), as a fraction of the candidate's diameter.
 const TWIN_DIAMETER: f64 = 0.6;
-/// Smallest and largest distance of a twin from the candidate, mm.
+/// Smallest and largest distance in mm of a twin (a similar tube beside a candidate for the trachea) from the
+/// candidate.
 const TWIN_OFF_MM: (f64, f64) = (22.0, 130.0);
-/// Smallest length over which a twin runs beside the candidate, mm.
+/// Length in mm over which a twin must run beside the candidate to be a doubt about it.
 const TWIN_LENGTH_MM: f64 = 12.0;
 
 /// CT with the air spots of its slices from the top down, and the chains of spots that may be bronchi.

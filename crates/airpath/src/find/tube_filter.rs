@@ -12,11 +12,11 @@ use carina_grid::{Grid, InstructionSet};
 
 /// Number of directions tested, over half a sphere: every tube is within 12 degrees of one of them.
 const NUM_DIRECTIONS: usize = 64;
-/// Number of sides round the axis of a piece.
+/// Number of sides, evenly round the axis, on which the wall of a tube is sampled.
 pub(crate) const NUM_SIDES: usize = 8;
-/// Number of sampled positions along a piece of tube.
+/// Number of sampled positions along the axis of a tube.
 const NUM_ALONG: usize = 7;
-/// Distance between the sampled positions along a piece of tube, mm.
+/// Distance in mm between the sampled positions along the axis of a tube.
 const STEP_MM: f64 = 0.75;
 /// Distances from the axis at which the crest of the wall is searched, mm: those of thin lumens, blurred.
 ///
@@ -35,11 +35,11 @@ pub(crate) const ROUNDNESS: f64 = 0.5;
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct ThinSection {
     pub(crate) air: f64,
-    /// Smallest value of the wall of an airway.
+    /// Smallest voxel value of the wall of an airway.
     pub(crate) least_wall: f64,
     /// Blur (sigma) of the CT, mm.
     pub(crate) blur_mm: f64,
-    /// Value of lung round the airways.
+    /// Voxel value of the lung round the airways.
     pub(crate) lung: f64,
 }
 
@@ -88,7 +88,7 @@ struct Crest {
 /// Sums of the values along the sides of a piece at one crest distance.
 #[derive(Debug, Clone, Copy)]
 struct Sides {
-    /// Sum of the values along the second darkest side.
+    /// Sum of the values along the second darkest side of the tube.
     second: i32,
     total: i32,
 }

@@ -187,13 +187,13 @@ fn directions() -> impl Iterator<Item = [f64; 3]> {
 pub struct Section {
     /// Share of the directions across the tube in which the values rise enough for a wall.
     pub walled: f64,
-    /// Median distance from the middle to half of the rise, mm.
+    /// Median distance in mm from the middle of a tube to the place where half of the rise to its wall is reached.
     pub radius_mm: f64,
-    /// Median rise of the values from the middle to the wall.
+    /// Median rise of the values from the middle of a tube to its wall.
     pub rise: f64,
 }
 
-/// Number of directions across a tube in which a section is measured.
+/// Number of directions, evenly across a tube, in which its section is measured.
 const NUM_SIDES: usize = 16;
 
 /// Measure the section at a voxel across a tube in direction `along` (unit vector in mm along the grid's axes).

@@ -14,7 +14,7 @@ use rayon::prelude::*;
 
 /// Number of tabulated directions, from within the slice (0 degrees) to across it (90 degrees).
 const NUM_DIRECTIONS: usize = 5;
-/// Number of tabulated lumen radii.
+/// Number of lumen radii for which the table of blurred tubes has an entry.
 const NUM_RADII: usize = 14;
 /// Smallest tabulated lumen radius, in blurs within the slices.
 const MIN_RADIUS: f64 = 0.7;

@@ -30,7 +30,7 @@ pub const THICKEST_WALL_MM: f64 = 3.0;
 /// Distance between the centre of the rays and that of the lumen found, in voxels, below which no further cast is
 /// needed.
 const CENTRED_VOX: f64 = 0.1;
-/// Largest number of times that the rays of a plane are cast.
+/// Number of times after which the rays of a plane are not cast again, also if the centre still moves.
 const MAX_CASTS: usize = 4;
 /// Number of planes between two checks of the watch.
 ///
@@ -67,13 +67,13 @@ pub struct Plane {
 pub struct Section {
     /// Centre of the area of the lumen, in the plane, LPS mm.
     pub centre: Point,
-    /// Area of the lumen, mm^2.
+    /// Area of the lumen in the plane, mm^2.
     pub area_mm2: f64,
     /// Diameter of the circle with the area of the lumen, mm.
     pub equivalent_mm: f64,
-    /// Smallest width through the centre, mm.
+    /// Smallest width in mm of the lumen through its centre.
     pub min_mm: f64,
-    /// Largest width through the centre, mm.
+    /// Largest width in mm of the lumen through its centre.
     pub max_mm: f64,
     /// Thickness of the wall, from the rays that show the wall's far side, mm.
     pub wall_mm: f64,

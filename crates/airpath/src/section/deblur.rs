@@ -21,7 +21,7 @@ use crate::section::blurred_tube::{Tube, normal_cdf, within_tables};
 use crate::section::rays::{Cast, NUM_RAYS, direction, median, plane_axes, without_outliers};
 use crate::tree::smooth::Point;
 
-/// Smallest number of edges from which the blur of a scan is measured.
+/// Number of edges below which the blur of a scan is not measured.
 const MIN_EDGES: usize = 200;
 /// Limits for rays that show the blur within the slices: the absolute cosine between ray and slice axis is below the
 /// limit.
@@ -45,7 +45,7 @@ const MIN_ACROSS: f64 = 0.8;
 const EDGES_TELL_FROM: f64 = 2.2;
 /// Further wall thickness, in blurs, after which the half-maximum edges alone determine the measured thickness.
 const EDGES_TELL_OVER: f64 = 1.2;
-/// Smallest weight of a ray that counts for the thickness of the wall.
+/// Weight of a ray below which the ray does not count for the thickness of the wall.
 const CERTAIN: f64 = 0.6;
 /// Number of rays on each side of a ray over which the rise of the wall is averaged.
 const SMOOTHED_RAYS: usize = 2;
@@ -57,7 +57,7 @@ const MAX_ACROSS: f64 = 4.0;
 const NO_RIM: f64 = 0.9;
 /// Difference of the blur from `NO_RIM`, in pixels, above which a kernel overshoots clearly and the error increases.
 const SHARP: f64 = 0.3;
-/// Number of iterations of the fit of a tube to a section.
+/// Number of iterations of the fit of a blurred tube to a section.
 const FITS: usize = 14;
 /// Smallest wall thickness, in blurs, of a result: thinner walls have nearly the same half-maximum thickness.
 const THINNEST: f64 = 0.6;

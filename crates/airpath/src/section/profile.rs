@@ -13,7 +13,7 @@ pub(crate) const WALL_REACH_MM: f64 = 5.0;
 /// Levels that distinguish lumen, wall and noise, in the units of the CT values.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SectionLevels {
-    /// Smallest rise from the lumen to a wall.
+    /// Rise of the values from the lumen below which a maximum is not a wall.
     pub min_contrast: f32,
     /// Value to which the values of a wall are limited, because of calcified cartilage and vessels with contrast
     /// medium.
@@ -27,11 +27,11 @@ pub struct SectionLevels {
 /// CT values at constant intervals along a ray.
 #[derive(Debug, Clone, Default)]
 pub struct Profile {
-    /// Distance between successive values, mm.
+    /// Distance in mm between successive values of the profile.
     pub step_mm: f64,
     /// CT values along the ray; the first is at the ray's origin.
     pub values: Vec<f32>,
-    /// Whether the ray left the volume before its full length.
+    /// Whether the ray left the volume before it had its full length.
     pub left_volume: bool,
 }
 

@@ -58,7 +58,7 @@ pub(crate) fn without_outliers(rays: &[Edges; NUM_RAYS]) -> [f64; NUM_RAYS] {
 
 /// Return the lengths of the rays, with NaN for each length that is far from those of the neighbouring rays.
 pub(crate) fn without_far(lengths: &[f64; NUM_RAYS]) -> [f64; NUM_RAYS] {
-    /// Number of rays on each side that a ray is compared with.
+    /// Number of neighbouring rays on each side with which a ray is compared to find outliers.
     const REACH: usize = 5;
     std::array::from_fn(|n| {
         let near = (0..=2 * REACH)

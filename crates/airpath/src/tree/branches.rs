@@ -20,7 +20,7 @@ use carina_leastcost::{TrackError, Watch};
 /// Limits that decide whether a path that leaves a tube is a branch.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct BranchLimits {
-    /// Smallest length in mm of a path outside the tube that it leaves.
+    /// Length in mm outside the tube that it leaves below which a path is not a branch.
     pub min_length_mm: f64,
     /// Factor of a tube's radius in the distance within which a path covers nodes (`cover_radii * radius + cover_mm`).
     pub cover_radii: f64,
@@ -189,7 +189,7 @@ pub(crate) struct Cover<'a> {
     open: BinaryHeap<(OrderedMm, u32)>,
 }
 
-/// Length in micrometres, as an integer because integers have a total order.
+/// Length in whole micrometres, because integers have a total order and f64 has none.
 pub(crate) type OrderedMm = u32;
 
 pub(crate) fn ordered(mm: f64) -> OrderedMm {
@@ -248,7 +248,7 @@ struct NodeTree<'a> {
     graph: &'a LumenGraph,
     tracker: &'a Tracker,
     grid: &'a Grid,
-    /// Length of the path from the root to each settled node, mm.
+    /// Length in mm of the path from the root to each settled node.
     along_mm: Vec<f64>,
     in_tree: Vec<bool>,
     /// Paths in the order in which they were added; each begins at a node of an earlier one.

@@ -27,7 +27,7 @@ const MAX_ROUNDS: usize = 24;
 const GENTLE_ROUNDS: usize = 16;
 /// Step of the search for a position inside the lumen, as a fraction of the distance to the chain.
 const GENTLE_SHARE: f64 = 0.125;
-/// Smallest weight of a point after it was pulled inside the lumen.
+/// Smallest weight of a point after the smoothing has pulled it inside the lumen.
 const GENTLE_PULL: f64 = 1.0;
 /// Cosine of the largest turn between successive points that is not a sharp corner: 20 degrees.
 const SHARP_COSINE: f64 = 0.94;
@@ -35,7 +35,7 @@ const SHARP_COSINE: f64 = 0.94;
 const RELAXING_ROUNDS: usize = 30;
 /// Share of the way to the middle of its neighbours by which a corner moves in one round.
 const RELAXING_SHARE: f64 = 0.5;
-/// Weight of a point that must not move in the smoothing.
+/// Weight of a point that the smoothing must not move.
 pub const FIXED: f64 = 1e9;
 
 /// Return the weight with which a point of the chain attracts the curve, for a tube of this radius.

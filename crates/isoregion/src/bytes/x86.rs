@@ -18,7 +18,7 @@ use std::arch::x86_64::{
 
 use super::Bytes;
 
-/// Bytes 1, 2 ..= 64.
+/// Bytes 1, 2 ..= 64, from which a register with rising values is loaded.
 const RISING: [u8; 64] = {
     let mut out = [0; 64];
     let mut n = 0;

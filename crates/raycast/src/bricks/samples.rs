@@ -1,8 +1,9 @@
 //! Bricks of the values and gradients of a volume, for pictures that are shaded at every sample.
 //!
-//! An interpolated value with its gradient needs 32 voxels at twelve addresses, and neighbouring samples read most of
-//! them again. At a voxel, the gradient is an exact central difference of integers. Stored beside the value as four
-//! int16 per voxel, a sample needs four reads of two voxels each (docs/decisions/0132).
+//! Without bricks, an interpolated value with its gradient is computed from 32 voxels at twelve addresses, and
+//! neighbouring samples read most of these voxels again. A brick stores four int16 per voxel: its value, and the three
+//! central differences, which are exact integers. With bricks, a sample takes four reads of two voxels each
+//! (docs/decisions/0132).
 
 use super::store::{CELLS, Fill, MAX_BRICKS, Numbers, PER_BRICK, STRIDE, Store, VOXELS};
 use crate::Field;
@@ -38,7 +39,7 @@ impl SampleBricks {
         self.store.shape == shape_ijk
     }
 
-    /// Return the number of stored bricks.
+    /// Return the number of bricks that are in the cache.
     #[must_use]
     pub fn len(&self) -> usize {
         self.store.len()

@@ -16,11 +16,11 @@ shared_constants! {
     /// A slope uses these six samples and eight samples at the corners of a box. The numbers were chosen by trial: on a
     /// plane edge blurred by 0.7 voxels the mean error of the normal is 0.2 degrees.
     pub(crate) const AXIS_AT: f32 = 1.2;
-    /// Weight of the differences between the samples on the axes.
+    /// Weight in a slope of the difference between the two samples on the axis of the slope.
     pub(crate) const AXIS_WEIGHT: f32 = 0.96;
     /// Distance of the corner samples from the voxel along each axis, in units of the reach.
     pub(crate) const CORNER_AT: f32 = 0.7;
-    /// Weight of the differences between the corner samples.
+    /// Weight in a slope of the difference between the samples at the corners before and behind the voxel.
     pub(crate) const CORNER_WEIGHT: f32 = 0.7;
 }
 
@@ -31,7 +31,7 @@ pub struct NormalBricks {
     reach: [f32; 3],
     held: [f32; 2],
     taps: [Taps; 3],
-    /// Factor from slopes to stored numbers.
+    /// Factor from slopes (differences of voxel values) to the int16 that a brick stores.
     scale: f32,
 }
 
@@ -104,7 +104,7 @@ impl NormalBricks {
         self.store.shape == shape && self.reach == reach && self.held == held
     }
 
-    /// Return the number of stored bricks.
+    /// Return the number of bricks that are in the cache.
     #[must_use]
     pub fn len(&self) -> usize {
         self.store.len()
@@ -147,7 +147,7 @@ impl NormalBricks {
     /// range round the wall's value. The corner part is computed as three successive sums along the axes.
     fn filled(&self, field: &Field<'_>, brick: [usize; 3]) -> Numbers {
         thread_local! {
-            /// Buffers of the current thread.
+            /// Buffers for the computation of one brick, which each thread reuses.
             static WORK: RefCell<Work> = RefCell::default();
         }
         WORK.with_borrow_mut(|work| {

@@ -8,13 +8,13 @@ use std::{
 use crate::{Field, shared_constants::shared_constants};
 
 shared_constants! {
-    /// Number of cells of a brick along each axis.
+    /// Number of cells (cubes between eight voxels) of a brick along each axis.
     pub(crate) const CELLS: usize = 4;
     /// Number of voxels of a brick along each axis: both ends of its cells.
     pub(super) const VOXELS: usize = CELLS + 1;
     /// Number of stored numbers per voxel: four, so that a voxel is one 64-bit load.
     pub(crate) const PER_VOXEL: usize = 4;
-    /// Number of stored numbers per brick, of which the last few are 0.
+    /// Number of int16 that a brick stores; the last few are 0 and fill the brick to a power of two.
     pub(crate) const PER_BRICK: usize = 512;
     /// Largest number of stored bricks: 64 MB, enough for some fifty views of an airway.
     pub(crate) const MAX_BRICKS: usize = 1 << 16;
@@ -23,7 +23,7 @@ shared_constants! {
 /// Difference in memory between neighbouring voxels of a brick along each axis, in numbers.
 pub(crate) const STRIDE: [usize; 3] = [PER_VOXEL, PER_VOXEL * VOXELS, PER_VOXEL * VOXELS * VOXELS];
 
-/// Stored numbers of one brick.
+/// The int16 values that one brick stores.
 pub(crate) type Numbers = Box<[i16; PER_BRICK]>;
 
 /// Table entry of a brick that is not stored; the entry of a stored brick is one more than its index.

@@ -36,7 +36,7 @@ fn lerp<L: Lanes>(l: L, t: L::F, a: L::F, b: L::F) -> L::F {
     l.fma(t, l.sub(b, a), a)
 }
 
-/// Interpolate linearly between the two numbers of a pair.
+/// Return the linear interpolation between the two int16 of each lane's pair.
 #[inline(always)]
 fn lerp_pair<L: Lanes>(l: L, t: L::F, pair: L::I) -> L::F {
     l.fma(t, l.to_f(l.rise(pair)), l.to_f(l.first(pair)))

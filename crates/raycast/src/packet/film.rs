@@ -12,9 +12,9 @@ use super::{
 use crate::{appearance::Appearance, shared_constants::shared_constants};
 
 shared_constants! {
-    /// Number of noise cells per mm of the pools of secretions.
+    /// Number of cells per mm of the noise that places pools of secretions on the wall.
     const POOLS_PER_MM: f32 = 0.2;
-    /// Number of noise cells per mm of the bubbles in secretions.
+    /// Number of cells per mm of the noise that places bubbles in secretions.
     const BUBBLES_PER_MM: f32 = 1.5;
     /// Logarithm to base 2 of the exponent of the highlight on a droplet.
     ///
@@ -40,7 +40,7 @@ shared_constants! {
     const DROP_EDGE: f32 = 3.0;
     /// Height that a bump needs to carry a droplet on a wall without film.
     const DROP_FROM: f32 = 0.3 + 0.75 * GATHER;
-    /// Height that a bump needs to carry a bubble.
+    /// Noise value from which a bubble is drawn in a pool of secretions.
     const BUBBLE_FROM: f32 = 0.25;
     /// Slope and offset of the visibility of droplets and bubbles, from the size of a pixel in cells.
     const FADES: [f32; 2] = [-5.0, 1.5];
@@ -52,7 +52,7 @@ shared_constants! {
     const POOL_EDGE: f32 = 5.0;
     /// Strength with which the surface of a pool is turned to horizontal, 0 to 1.
     const POOL_FLAT: f32 = 0.7;
-    /// Seeds of the noises of pools and bubbles.
+    /// Seeds of the noises that place pools and bubbles.
     const WET_SEEDS: [i32; 2] = [61, 67];
 }
 

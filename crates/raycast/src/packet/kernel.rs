@@ -94,10 +94,11 @@ impl Scene<'_> {
         band.stats
     }
 
-    /// Run the search stage: leaps and clear samples, until enough rays wait for shading or none is left to search.
+    /// Move the rays forward over transparent samples, by leaps and single ray steps, to their next visible sample.
     ///
-    /// Without shading, a visible sample takes no longer than a clear one, so the search stage takes visible samples,
-    /// too.
+    /// The search stage ends when enough rays wait for the shading of a visible sample, or when no ray is left to
+    /// move. In pictures without shading the search stage also composites the visible samples, which takes no longer
+    /// than the samples of transparent voxels.
     #[inline(always)]
     fn search<
         L: Lanes,
@@ -114,7 +115,7 @@ impl Scene<'_> {
         let mut packet = band.search;
         let mut pace = Pace::of(l, &packet.delta);
         let mut active = packet.occupied;
-        // Mask of the lanes whose next sample may be visible.
+        // Mask of the lanes whose next sample may have opacity.
         let mut visible = 0;
         loop {
             // Rays are exchanged many at a time, because an exchange costs about as much as a look-up
@@ -193,7 +194,8 @@ impl Scene<'_> {
                 let (lit, goes_on) =
                     self.take_samples::<L, O, false, NEAREST>(l, &mut packet, at, walks);
                 if LEAP == TRANSPARENT {
-                    // The map is not looked up directly after a sample with opacity.
+                    // The neighbours of a visible sample are seldom transparent, so the next sample is taken without
+                    // reading the radius map.
                     let next = l.add_i(packet.k, l.splat_i(1));
                     let later = l.max_i(packet.lookup_at, next);
                     packet.lookup_at = l.select_i(lit, later, packet.lookup_at);
@@ -276,7 +278,7 @@ impl Scene<'_> {
         let mut active = packet.occupied;
         // Number of the next sample in the active lanes; the counter advances in the other lanes, too.
         let mut k = packet.k;
-        // Mask of the lanes whose last sample was clear.
+        // Mask of the lanes whose last sample had no opacity.
         let mut clear = 0;
         loop {
             if S::N - active.count_ones() as usize >= S::N / 4 {

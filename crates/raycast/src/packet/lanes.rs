@@ -4,10 +4,10 @@
 
 use std::sync::atomic::AtomicI32;
 
-/// Largest number of lanes of any instruction set.
+/// Largest number of lanes (rays) of a packet for any instruction set.
 pub(super) const MAX_LANES: usize = 32;
 
-/// One value for each lane, in memory.
+/// Memory for one value of each lane.
 pub(crate) type Array<T> = [T; MAX_LANES];
 
 /// Instruction set of the packet kernels.
@@ -79,7 +79,7 @@ pub(crate) trait Lanes: Copy {
     fn bits(self, a: Self::M) -> u32;
     fn and(self, a: Self::M, b: Self::M) -> Self::M;
     fn or(self, a: Self::M, b: Self::M) -> Self::M;
-    /// Return the lanes of mask `a` that are not in mask `b`.
+    /// Return the mask of the lanes that are in `a` and not in `b`.
     fn without(self, a: Self::M, b: Self::M) -> Self::M;
 
     /// Return the integer quotient of a number by 4; the number must not be negative.
@@ -87,9 +87,9 @@ pub(crate) trait Lanes: Copy {
     /// Return the remainder of a number divided by 4; the number must not be negative.
     fn modulo_4(self, a: Self::I) -> Self::I;
 
-    /// Return the lowest byte of each lane, 0 to 255.
+    /// Return the lowest byte of each lane's i32, 0 to 255.
     fn low_byte(self, a: Self::I) -> Self::I;
-    /// Return the second lowest byte of each lane, 0 to 255.
+    /// Return the second lowest byte of each lane's i32, 0 to 255.
     fn second_byte(self, a: Self::I) -> Self::I;
 
     /// Return the first of the two int16 in each lane, as an i32.

@@ -54,7 +54,7 @@ impl<L: Lanes> Values<L> for Voxels<'_> {
     }
 }
 
-/// Values read one lane after another, for volumes that packets cannot read.
+/// Reader of voxel values one lane after another, for volumes in an order that packets cannot read.
 impl<L: Lanes> Values<L> for &Field<'_> {
     fn at(self, l: L, p: [L::F; 3]) -> L::F {
         let p = p.map(|p| l.store(p));
@@ -335,7 +335,7 @@ fn unlit(pixel: &Gathered) -> Gathered {
     }
 }
 
-/// Results of gathered rays, one per lane, which are to be shaded.
+/// First walls of gathered rays, one per lane, whose shading is to be computed.
 struct Walls<L: Lanes> {
     delta: [L::F; 3],
     /// Distance from the camera to the wall in steps; 0 in lanes without a wall.

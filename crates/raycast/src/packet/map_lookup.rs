@@ -229,7 +229,7 @@ impl Scene<'_> {
         self.step_from_word::<L, O>(l, packet, pace, walks, next, stats)
     }
 
-    /// Return the place of the next word of each lane.
+    /// Return the memory index of the word (label and radius) that each lane reads next.
     #[inline(always)]
     pub(super) fn next_word<L: Lanes>(&self, l: L, packet: &Packet<L>) -> NextWord<L> {
         let p = packet.at(l, packet.k, self.frame.origin3());
@@ -237,7 +237,7 @@ impl Scene<'_> {
         NextWord { p, v, index }
     }
 
-    /// Fetch the words of all lanes into the cache, without a wait.
+    /// Prefetch the words (label and radius) of all lanes into the cache.
     #[inline(always)]
     pub(super) fn prefetch_words<L: Lanes>(&self, l: L, next: &NextWord<L>) {
         let index = l.store_i(next.index);
@@ -246,7 +246,7 @@ impl Scene<'_> {
         }
     }
 
-    /// Take the step of `step_over_values` with words whose places are known.
+    /// Advance the rays as `step_over_values` does, with words whose memory indices are known.
     #[inline(always)]
     pub(super) fn step_from_word<L: Lanes, O: Out>(
         &self,

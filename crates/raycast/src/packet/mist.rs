@@ -8,13 +8,13 @@ use super::{
 use crate::{lighting::Lighting, shared_constants::shared_constants};
 
 shared_constants! {
-    /// Number of patches of the mist per radian of the view.
+    /// Number of patches of mist per radian of the view.
     const PATCHES: f32 = 2.3;
     /// Display colour of the mist; the light that the wall reflects illuminates it.
     pub(super) const MIST_RGB: [f32; 3] = [0.66, 0.56, 0.53];
     /// Amplitude of the patches' opacity, and their mean opacity.
     const MIST_COVER: [f32; 2] = [0.22, 0.62];
-    /// Seed of the noise of the mist.
+    /// Seed of the noise that places the patches of mist.
     const MIST_SEED: i32 = 71;
 }
 

@@ -82,7 +82,7 @@ pub(crate) struct Packets<'a> {
     simd: InstructionSet,
 }
 
-/// Step table of pictures that do not leap over all classes.
+/// Step table without classes, for pictures whose rays do not leap over all classes.
 static NO_SEGMENTS: SegmentTable = SegmentTable::EMPTY;
 
 impl<'a> Packets<'a> {
@@ -212,7 +212,8 @@ impl<'a> Packets<'a> {
     fn cast_avx2<O: Out>(&self, source: Source, out: O) -> CastStats {
         // SAFETY: this function runs only on a machine with the instructions of its target features.
         let l = Pair(unsafe { avx2::Avx2::new(false) });
-        // The search uses twice the lanes; benchmark: benchmarks/measurements/rendering.md.
+        // The search stage moves twice as many rays together as the shading stage shades;
+        // benchmarks/measurements/rendering.md has the times.
         self.cast((Pair(l), l), source, out)
     }
 

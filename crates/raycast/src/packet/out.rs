@@ -10,10 +10,10 @@ use crate::composite::Gathered;
 
 /// Output for the pixels of a band of rows.
 pub(super) trait Out {
-    /// Whether the output needs the first walls of rays.
+    /// Whether the output needs the distance of each ray's first wall.
     const HITS: bool;
 
-    /// Write the results of the rays in some lanes to their pixels.
+    /// Write the colours of the rays in the lanes of the bit mask `lanes` to their pixels.
     fn write<L: Lanes>(&mut self, l: L, packet: &Packet<L>, lanes: u32);
 
     /// Write a range of pixels that have no ray.

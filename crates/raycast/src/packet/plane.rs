@@ -17,7 +17,7 @@ use super::{
 };
 use crate::{Field, InstructionSet, Window};
 
-/// Number of rows of a tile (docs/decisions/0132).
+/// Number of rows of a tile, the part of a plane that is sampled at once (docs/decisions/0132).
 pub(crate) const TILE_ROWS: usize = 64;
 /// Number of columns of a tile (docs/decisions/0132).
 ///

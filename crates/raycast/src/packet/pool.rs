@@ -23,16 +23,16 @@ pub(super) struct Packet<L: Lanes> {
     /// Distance to the first wall, as in [`Gathered`](crate::composite::Gathered); used only if the output needs first
     /// walls.
     pub hit: L::F,
-    /// Number of the next sample.
+    /// Index of each ray's next sample.
     pub k: L::I,
     pub end: L::I,
     /// Index of the ray's pixel in the band.
     pub pixel: L::I,
-    /// Number of the sample at which the map is next looked up.
+    /// Index of the sample at which each ray next reads the radius map.
     pub lookup_at: L::I,
     /// Number of samples between a look-up that saves nothing and the next one (see [`crate::leap`]).
     pub patience: L::I,
-    /// Bit mask of the lanes that contain a ray.
+    /// Bit mask of the lanes that hold a ray.
     pub occupied: u32,
 }
 

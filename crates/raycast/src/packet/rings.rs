@@ -60,17 +60,17 @@ shared_constants! {
     const RINGS_SEEN: [f32; 2] = [-4.5, 2.0];
     /// Slope and offset of the presence of plates round the circumference, from the mottling.
     const PLATES: [f32; 2] = [1.6, 0.55];
-    /// Paleness of rings.
+    /// Paleness that cartilage rings add to the colour of the wall.
     const PALE_RING: f32 = 0.34;
     /// Paleness of the ridges at forks.
     const PALE_RIDGE: f32 = 0.65;
     /// Slope and offset of the redness between rings, from the mottling.
     const RED: [f32; 2] = [0.7, 0.8];
-    /// Number of folds of the membranous wall along its depth, per radius.
+    /// Number of folds of the membranous (posterior) wall along its depth, per radius of the airway.
     const FOLDS_BACK: f32 = 0.8;
-    /// Number of folds per mm with which the visibility of folds is computed.
+    /// Number of folds per mm from which it is computed whether a pixel is small enough to show folds.
     const FOLDS_PER_MM: f32 = 0.7;
-    /// Seed of the noise of the folds.
+    /// Seed of the noise that shapes the folds.
     const FOLD_SEED: i32 = 53;
 }
 

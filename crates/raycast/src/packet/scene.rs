@@ -24,7 +24,7 @@ pub(super) const VALUES_PREFETCHED: u8 = 4;
 pub(super) struct Scene<'a> {
     pub frame: &'a Frame<'a>,
     pub voxels: Voxels<'a>,
-    /// Radius map of the volume's regions; empty for brute force.
+    /// Radius map of the volume; empty for brute force.
     pub radius: &'a [u8],
     /// Label of each voxel; empty, like the step table, unless all classes are leaped.
     pub labels: &'a [u8],

@@ -68,7 +68,7 @@ impl Directions {
         directions
     }
 
-    /// Return true if no lane has a ray.
+    /// Return whether no lane holds a ray.
     #[inline(always)]
     pub(super) fn have_no_ray(&self) -> bool {
         self.0.iter().flatten().all(|&d| d == 0.0)
@@ -135,7 +135,7 @@ pub(super) fn deltas_of(frame: &Frame<'_>, directions: &Directions) -> [Array<f3
     delta
 }
 
-/// Set up rays in these directions; the operations equal [`Frame::ray`] and `clip_line_to_box`.
+/// Set up rays in the given directions by the operations of [`Frame::ray`] and `clip_line_to_box`.
 #[inline(always)]
 pub(super) fn rays_of(frame: &Frame<'_>, directions: &Directions) -> Rays {
     let shape = frame.grid.shape_ijk();

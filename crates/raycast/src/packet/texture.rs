@@ -9,11 +9,11 @@ use super::{
 use crate::{appearance::Appearance, shared_constants::shared_constants};
 
 shared_constants! {
-    /// Number of noise cells per mm of the mottling.
+    /// Number of cells per mm of the noise that mottles the colour of the mucosa.
     const MOTTLE_PER_MM: f32 = 0.23;
-    /// Number of noise cells per mm of the coarse relief (wrinkles).
+    /// Number of cells per mm of the noise of the mucosa's coarse relief (wrinkles).
     pub(super) const WRINKLES_PER_MM: f32 = 0.45 * RELIEF_PER_MM;
-    /// Number of noise cells per mm of the fine relief.
+    /// Number of cells per mm of the noise of the mucosa's fine relief.
     const RELIEF_PER_MM: f32 = 1.9;
     /// Half of the width of a vessel's stem, mm.
     const VESSEL_MM: f32 = 0.17;
@@ -31,7 +31,7 @@ shared_constants! {
     const STIR: i32 = 0x6d2b_79f5;
     /// Coefficients of the polynomial `x^3 (6 x^2 - 15 x + 10)`, which interpolates the noise.
     const BLEND: [f32; 3] = [6.0, -15.0, 10.0];
-    /// Seeds of the noises of mottling, fine relief and wrinkles.
+    /// Seeds of the noises of the mucosa: mottling, fine relief and wrinkles.
     const SKIN_SEEDS: [i32; 3] = [11, 37, 41];
     /// Changes of red, green and blue by the mottling and by vessels.
     const SKIN_TINT: [[f32; 2]; 3] = [[0.03, -0.08], [-0.11, -0.40], [-0.09, -0.30]];
@@ -39,9 +39,10 @@ shared_constants! {
     const FILM_FROM: [f32; 3] = [1.2, 0.35, 0.75];
     /// Slope and offset of the visibility of noise, from the size of a pixel in cells.
     const SHARP: [f32; 2] = [-2.0, 2.0];
-    /// Smallest length of a noise's gradient per mm at a vessel.
+    /// Gradient of a noise per mm below which a vessel's distance is computed with this value, to avoid a division by
+    /// 0.
     const LEAST_STEEP: f32 = 1e-3;
-    /// Smallest half-width of a drawn vessel, pixels.
+    /// Half-width in pixels to which a thinner vessel of the mucosa is widened, so that it stays visible.
     const LEAST_VESSEL_PX: f32 = 0.7;
     /// Slope and offset of the presence of stems, from the length of the noise's gradient.
     const STEMS: [f32; 2] = [1.5, -0.5];

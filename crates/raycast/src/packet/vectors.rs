@@ -7,7 +7,7 @@ pub(super) fn dot<L: Lanes>(l: L, u: [L::F; 3], v: [L::F; 3]) -> L::F {
     l.fma(u[2], v[2], l.fma(u[1], v[1], l.mul(u[0], v[0])))
 }
 
-/// Return a vector that is equal in all lanes.
+/// Return a vector with the same value in all lanes.
 #[inline(always)]
 pub(super) fn splat<L: Lanes>(l: L, v: [f32; 3]) -> [L::F; 3] {
     [l.splat(v[0]), l.splat(v[1]), l.splat(v[2])]

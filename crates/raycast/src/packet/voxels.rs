@@ -28,7 +28,7 @@ pub(super) struct Cells<L: Lanes> {
     t: [L::F; 3],
 }
 
-/// Voxels that an interpolated value and its gradient need, for each lane.
+/// Voxels around each lane's position from which a value and its gradient are interpolated.
 struct Rows<L: Lanes> {
     /// Four voxels on each of the four rows along x through the cell: its own two, and one on each side.
     own: [[L::I; 4]; 4],
@@ -43,13 +43,13 @@ fn lerp<L: Lanes>(l: L, t: L::F, a: L::F, b: L::F) -> L::F {
     l.fma(t, l.sub(b, a), a)
 }
 
-/// Interpolate linearly between the two voxels of a pair.
+/// Return the linear interpolation between the two voxels of each lane's pair.
 #[inline(always)]
 fn lerp_pair<L: Lanes>(l: L, t: L::F, pair: L::I) -> L::F {
     l.fma(t, l.to_f(l.rise(pair)), l.to_f(l.first(pair)))
 }
 
-/// Interpolate linearly between two integers.
+/// Return the linear interpolation between two integers of each lane.
 #[inline(always)]
 fn lerp_ints<L: Lanes>(l: L, t: L::F, a: L::I, b: L::I) -> L::F {
     l.fma(t, l.to_f(l.sub_i(b, a)), l.to_f(a))
@@ -175,7 +175,7 @@ impl<'a> Voxels<'a> {
         (self.index(l, ijk), v)
     }
 
-    /// Return the values of voxels at indices in memory.
+    /// Return the value of each lane's voxel, given its index in memory.
     #[inline(always)]
     pub(super) fn at<L: Lanes>(&self, l: L, index: L::I) -> L::I {
         // SAFETY: the index comes from `nearest`, which clamps to the volume in all lanes. Benchmark:
@@ -190,7 +190,7 @@ impl<'a> Voxels<'a> {
         [0, sy, sz, sy + sz]
     }
 
-    /// Return the interpolated values in cells.
+    /// Return the trilinearly interpolated value of the volume for each ray, at its position in its cell of 8 voxels.
     #[inline(always)]
     pub(super) fn value<L: Lanes>(&self, l: L, cells: &Cells<L>) -> L::F {
         // SAFETY: `cells` clamps the lower corner to last_cell in all lanes, so that one step more on each axis is a

@@ -27,7 +27,7 @@ const MATT: Appearance = Appearance {
     guides_mm: [[0.0; 3]; 2],
     exposure: Some(120.0),
     ambient: 0.3,
-    // The wrap lighting is that of silhouettes, so that the brightness does not differ there.
+    // The same wrap lighting as in shading by silhouettes, so that both kinds of shading give one brightness.
     wrap: 0.6,
     gloss: 0.0,
     shininess_log2: 6,

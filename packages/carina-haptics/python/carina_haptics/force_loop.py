@@ -43,9 +43,9 @@ class ForceLaw:
     """Parameters of the force law; a loop checks their ranges when it starts."""
 
     tip_radius_mm: float = 2.45
-    """Radius of the tip that touches the wall."""
+    """Radius in mm of the simulated tip that touches the wall."""
     grip_mm: float = 40.0
-    """Distance from the tip back to the hand: the lever of the torque."""
+    """Distance in mm from the tip back to the hand, which is the lever of the torque."""
     stiffness_n_per_mm: float = 0.4
     """Stiffness of the wall, at most `MAX_STIFFNESS_N_PER_MM`."""
     damping_ns_per_mm: float = 0.001
@@ -55,7 +55,7 @@ class ForceLaw:
     guidance_n_per_mm: float = 0.0
     """Stiffness of the pull towards the path; 0 switches guidance off. The pull is at most 1 N."""
     watchdog_ms: float = 20.0
-    """Time without a sample after which the force is released, within 30 ms."""
+    """Time in ms without a sample after which the force is released to 0 within 30 ms."""
 
     @property
     def numbers(self) -> tuple[float, float, float, float, float, float, float]:
@@ -81,11 +81,11 @@ class HandForce:
     torque_n_mm: Point
     """Torque about the grip, in LPS."""
     touches: bool
-    """Whether the tip touches the wall."""
+    """Whether the simulated tip touches the wall."""
     limited: bool
-    """Whether the force limit reduces the force of the wall."""
+    """Whether the wall's force exceeds the force limit and is reduced to it."""
     silent: bool
-    """Whether the watchdog found no sample in time."""
+    """Whether the watchdog released the force because no sample arrived in time."""
     at_lps: Point | None
     """Position of the tip in the sample that this force answers."""
 
@@ -96,7 +96,7 @@ class ForceFigures:
     """Timing statistics of a force loop."""
 
     num_ticks: int
-    """Number of ticks that were due."""
+    """Number of ticks (milliseconds of the loop) that were due since the start."""
     num_missed: int
     """Number of ticks that were not finished within their millisecond."""
     late_us: Point
@@ -104,21 +104,21 @@ class ForceFigures:
     work_us: Point
     """Duration of a tick from start to end: median, 99th percentile, maximum."""
     latency_us: Point
-    """Time from a sample to its force: median, 99th percentile, maximum."""
+    """Time in us from a sample to its force: median, 99th percentile, maximum."""
     cpu_s: float
     """Processor time of the loop's thread (Linux; 0 on other systems)."""
     wall_s: float
-    """Time since the start of the loop."""
+    """Time in s since the start of the loop."""
     num_samples: int
-    """Number of samples that the loop received from outside."""
+    """Number of samples of the hand that the loop received from another process."""
     num_refused: int
     """Number of samples that the loop refused as invalid."""
     is_real_time: bool
     """Whether the loop's thread runs before all threads of ordinary programs (Linux, with the user's permission)."""
     max_force_n: float
-    """Largest force since the start."""
+    """Largest force on the hand since the start, N."""
     max_change_n: float
-    """Largest change of the force in one tick."""
+    """Largest change of the force between two ticks, N."""
 
 
 class ForceLoop:
@@ -188,12 +188,12 @@ class ForceLoop:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Stop the loop."""
+        """Stop the loop at the end of the ``with`` block."""
         self.stop()
 
     @property
     def law(self) -> ForceLaw:
-        """Parameters of the force law."""
+        """Parameters of the force law that the loop applies."""
         return self._law
 
     @property
@@ -214,7 +214,7 @@ class ForceLoop:
         return self._core.put(list(at_lps), list(velocity_mm_s), list(forward_lps))
 
     def felt(self) -> HandForce:
-        """Return the latest force."""
+        """Return the force of the latest tick."""
         found = self._core.felt()
         at = found["at_lps"]
         return HandForce(

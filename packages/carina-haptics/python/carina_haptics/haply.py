@@ -25,7 +25,7 @@ from carina_haptics.force_loop import ForceLoop
 __all__ = ["HAPLY_URL", "HaplyBridge", "HaplyState", "read_haply_message"]
 
 HAPLY_URL = "ws://127.0.0.1:10001"
-"""Address of the service."""
+"""WebSocket address of Haply's service on this machine."""
 Status = Literal["connecting", "no device", "running", "stopped"]
 Point = tuple[float, float, float]
 
@@ -49,7 +49,7 @@ class HaplyState:
     orientation_wxyz: tuple[float, float, float, float] | None
     """Orientation of the wireless grip, unit length; None without a grip."""
     buttons: frozenset[str]
-    """Names of the pressed buttons."""
+    """Names of the buttons that are pressed on the grip."""
 
 
 def read_haply_message(text: str | bytes) -> HaplyState | None:
@@ -154,12 +154,12 @@ class HaplyBridge:
 
     @property
     def state(self) -> HaplyState | None:
-        """Latest state of the device."""
+        """State of the device that the service reported last; None before the first one."""
         return self._state
 
     @property
     def num_refused(self) -> int:
-        """Number of invalid messages."""
+        """Number of invalid messages from the service."""
         return self._num_refused
 
     @property

@@ -19,7 +19,7 @@ Values = NDArray[np.float32]
 
 SIGMA_MM = 1.2
 MIN_HU = 30.0
-"""Least curvature across a plate (fissure), in HU (second derivative times sigma squared)."""
+"""Curvature in HU (second derivative times sigma squared) across a plate below which it is not a fissure."""
 TIMES_NOISE = 7.0
 """Least curvature across a plate (fissure), as a multiple of the curvature that noise causes."""
 EVEN = 0.5

@@ -103,8 +103,9 @@ def lobes(
     box
         `carina.plan.lungs.tissue_near_needle.lung_box` of the CT; computed if None.
     progress
-        False, True or ``f(what, fraction)``. True, as None, shows a bar in a terminal or a notebook. The fraction is
-        None where it is unknown. It may raise CancelledError.
+        False, True, None or ``f(what, fraction)``. True and None show a progress bar in a terminal or a notebook; False
+        shows none. The fraction is None while the progress is unknown. The function may raise CancelledError to stop
+        the calculation.
 
     Returns
     -------

@@ -25,7 +25,7 @@ from carina.volume.mask_distances import ball_distance
 Mask = NDArray[np.bool_]
 
 SURE = 0.8
-"""Mean confidence below which a piece of a vessel is displayed as doubtful."""
+"""Mean confidence below which a part of a vessel is displayed as doubtful."""
 RIM_MM = 3.0
 """Width in mm of the outer layer of the lungs in which no vessels are searched, because it may be chest wall."""
 LUNG_HU = 250.0
@@ -46,7 +46,7 @@ Breathing between slices causes steps along the surface that look like vessels.
 NEAR_MM = 3.0
 """Largest distance in mm between a lobe border and a fissure that lies on this border."""
 STRETCH_MM = 1.5
-"""Width in mm of the Gaussian that averages the confidence along vessels."""
+"""Width in mm of the Gaussian that averages the confidence of the voxels along a vessel."""
 
 
 @one_line
@@ -93,7 +93,7 @@ class LungMap:
     vessels: MappedMask | None = None
     """Vessels at 1 mm; arteries and veins are not distinguished, and vessels thinner than about 1 mm are incomplete."""
     sure_vessels: MappedMask | None = None
-    """Parts of the vessels with a high mean confidence."""
+    """Voxels of the vessels whose mean confidence is at least `SURE`."""
     vessel_tree: VesselTree | None = None
     """Vessels as lines with radii, without those along the edge of the lungs."""
     fissures: MappedMask | None = None
@@ -127,8 +127,9 @@ def map_lungs(
     volume, airways, wall
         The CT, its airways and their wall.
     progress
-        False, True or ``f(what, fraction)``. True, as None, shows a bar in a terminal or a notebook. The fraction is
-        None where it is unknown. It may raise CancelledError.
+        False, True, None or ``f(what, fraction)``. True and None show a progress bar in a terminal or a notebook; False
+        shows none. The fraction is None while the progress is unknown. The function may raise CancelledError to stop
+        the calculation.
     found
         Called with each partial map while the rest is being computed.
 

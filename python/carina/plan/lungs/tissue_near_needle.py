@@ -29,7 +29,7 @@ SMOOTH_MM = 0.7
 RISE_HU = 250.0
 """Rise in HU above the density of lung from which a voxel counts as tissue; a blurred vessel of 1 mm exceeds it."""
 WALL_MM = 1.5
-"""Distance in mm from a lumen within which tissue is the airway's wall."""
+"""Distance in mm from a lumen within which dense tissue counts as the airway's wall and not as a vessel."""
 LINE_WALL_MM = 1.0
 """Least distance in mm from a lumen of a line-shaped vessel; plates may be wall up to `WALL_MM`."""
 BLUR_MM = 1.5
@@ -144,8 +144,9 @@ def lung_surroundings(
     box
         `lung_box` of the CT; computed if None.
     progress
-        False, True or ``f(what, fraction)``. True, as None, shows a bar in a terminal or a notebook. The fraction is
-        None where it is unknown. It may raise CancelledError.
+        False, True, None or ``f(what, fraction)``. True and None show a progress bar in a terminal or a notebook; False
+        shows none. The fraction is None while the progress is unknown. The function may raise CancelledError to stop
+        the calculation.
 
     Raises
     ------

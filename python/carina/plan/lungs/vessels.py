@@ -23,24 +23,24 @@ THIN_SIGMA_MM = 0.7
 RISE_HU = 60.0
 """Least rise in HU of a vessel above the density of lung, after smoothing by 0.5 mm."""
 MIN_HU = 40.0
-"""Least curvature across a vessel, in HU (second derivative times sigma squared)."""
+"""Curvature in HU (second derivative times sigma squared) across a line below which it is not a vessel."""
 TIMES_NOISE = 5.0
 """Least curvature across a vessel, as a multiple of the curvature that noise causes."""
 MIN_LENGTH_MM = 3.0
 """Least length in mm of a connected piece of a thin vessel; shorter pieces are noise."""
 SLAB = 48
-"""Number of slices processed together, which limits the memory for whole lungs."""
+"""Number of slices processed together; it limits the memory for whole lungs."""
 SPUR_MM = 2.0
 """Least length in mm of a branch beyond the surface of its parent; a shorter one is a bump of the parent."""
 MAX_BRANCHES = 4000
 LOOK_EVERY = 20_000
-"""Number of voxels that are processed between two progress reports."""
+"""Number of processed voxels after which progress is reported."""
 
 
 @one_line
 @dataclass(frozen=True, slots=True, eq=False)
 class VesselBranch:
-    """Part of a vessel from its parent to its end."""
+    """Part of a vessel between two divisions, from its parent to its end."""
 
     points_lps: NDArray[np.float64]
     """(n, 3) smoothed centreline of the branch in LPS mm, from its wide end."""

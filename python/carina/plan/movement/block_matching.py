@@ -19,7 +19,7 @@ Mask = NDArray[np.bool_]
 MIN_HU, MAX_HU = -1000.0, 100.0
 """HU range that is compared; denser tissue, such as bone and contrast, counts as soft tissue."""
 AVERAGED_MM = 1.3
-"""Size of voxels that are compared, mm."""
+"""Size in mm to which voxels are averaged before both CTs are compared."""
 MIN_CLEAR = 0.1
 """Least variation of the CT at a landmark, as a share of the variation at the clearest landmarks."""
 MIN_SPREAD_HU = 40.0
@@ -32,14 +32,14 @@ SMOOTH_MM = 2.0
 
 @dataclass(frozen=True, slots=True)
 class Block:
-    """Sizes of compared cubes."""
+    """Sizes of the cubes of tissue that are searched in the second CT."""
 
     half_mm: float
     """Half the side length of the cube, mm."""
     step_mm: float
-    """Distance of two compared points, mm."""
+    """Distance in mm between two compared points of a cube."""
     search_mm: float
-    """Largest distance from the expected position on each axis, mm."""
+    """Largest distance in mm along each axis from the expected position at which a cube is searched."""
 
 
 def averaged(volume: Volume) -> Volume:

@@ -16,7 +16,7 @@ Points = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 NUM_TRIALS = 600
-"""Number of triples of forks from which a rigid motion is tried."""
+"""Largest number of triples of forks from each of which a rigid motion between both CTs is tried."""
 RIGID_MM = 15.0
 """Largest distance in mm of a pair from the rigid motion.
 
@@ -42,7 +42,7 @@ class Affine:
     """(3,) translation, mm."""
 
     def shifts(self, places: Points) -> Points:
-        """Return the shifts (n, 3) in mm of places (n, 3)."""
+        """Return the movement (n, 3) in mm of tissue at points (n, 3) of the first CT."""
         found: Points = places @ self.matrix.T + self.offset - places
         return found
 

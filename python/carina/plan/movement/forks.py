@@ -31,7 +31,7 @@ class ForkShift:
     residual_mm: float
     """Distance in mm between the measured shift and the shift that the other forks and vessels predict."""
     is_used: bool
-    """Whether the shift agrees with the other shifts and was used."""
+    """Whether the fork's shift agrees with the other shifts and contributes to the deformation."""
 
     def to_json(self) -> dict[str, Any]:
         """Return the shift as plain JSON types."""
@@ -57,7 +57,7 @@ def named_forks(first: AirwayTree, second: AirwayTree) -> tuple[tuple[str, ...],
 
 
 def fork_points(tree: AirwayTree) -> Points:
-    """Return the places (n, 3) of all forks of a tree, LPS mm."""
+    """Return the positions (n, 3) of all forks of a tree, LPS mm."""
     found = [one.points[-1] for one in tree.branches if len(one.children) > 1 and len(one.points) and _is_shown(one)]
     return np.array(found, dtype=np.float64).reshape(-1, 3)
 

@@ -54,7 +54,7 @@ Points = NDArray[np.float64]
 CARINA = "Trachea"
 """Name of the branch that ends in the main carina."""
 AFFINE_MM = 8.0
-"""Largest distance of a fork from the affine motion of all forks, mm."""
+"""Distance in mm of a fork from the affine motion of all forks above which the fork is an outlier and is not used."""
 NEAR_MM, APART_MM, MAX_PLACES = 60.0, 8.0, 160
 """Vessels that are matched near a target: half the side of the cube and least distance in mm; largest number."""
 COARSE, FINE = Block(9.0, 1.5, 9.0), Block(7.5, 0.75, 3.0)
@@ -64,9 +64,9 @@ WIDE_NAMES = (CARINA, "RMB", "LMB", "BI")
 MIN_RADIUS_MM, TARGET_RIM_MM = 3.0, 5.0
 """Least radius of a target, and width of the tissue round the target that is compared too, mm."""
 OUTSIDE_MM = 2.0
-"""Least distance in mm of matched vessels from the target."""
+"""Distance in mm from the target's edge below which a vessel is not matched with the second CT."""
 SAME_MM = 1e-3
-"""Distance in mm below which two points are the same."""
+"""Distance in mm below which two points count as the same fork."""
 MIN_SCORE = 0.6
 """Least correlation of a cube with the second CT at which the point counts as found."""
 MAX_RESIDUAL_MM = 4.0
@@ -74,7 +74,7 @@ MAX_RESIDUAL_MM = 4.0
 NUM_CHECKED = 20
 """Number of matched points, nearest to the target, from which the error of the target's shift is estimated."""
 SHARE_WITHIN = 0.9
-"""Share of the points whose prediction error is within the stated error."""
+"""Share of the known points whose prediction error is at most the stated error."""
 MAX_ERROR_MM = 15.0
 """Largest error in mm that is stated; a measurement with a larger error is no better than the default movement."""
 AGREE_MM = 2.0
@@ -99,9 +99,9 @@ class MovementMeasurement:
     forks: tuple[ForkShift, ...]
     """Forks that both trees name."""
     num_vessels: int
-    """Number of places at vessels near the target that were found in the second CT."""
+    """Number of vessel points near the target that were found in the second CT."""
     residual_mm: float
-    """Median distance of places near the target from the prediction by their neighbours, mm."""
+    """Median distance in mm between found points near the target and their prediction by neighbouring points."""
     breath_mm: float
     """Distance in mm from one rigid motion within which 90 % of the points are; small if both CTs show one breath."""
     rotation_deg: float
@@ -154,7 +154,8 @@ def measure_movement(
     second_volume, second_airways
         The second CT, such as one in expiration, and its airways; they are found if None.
     progress
-        False, True or ``f(what, fraction)``. True, as None, shows a bar in a terminal or a notebook.
+        False, True, None or ``f(what, fraction)``. True and None show a progress bar in a terminal or a notebook; False
+        shows none.
     cancel
         Called often; the work stops when it returns True.
 
@@ -232,12 +233,12 @@ def measure_movement(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Forks:
-    """Forks that both trees name."""
+    """Forks that the trees of both CTs name, with their positions."""
 
     names: tuple[str, ...]
     first_lps: Points
     second_lps: Points
-    """(n, 3) places in both CTs, LPS mm."""
+    """(n, 3) positions of the forks in the second CT; ``first_lps`` are those in the first CT, LPS mm."""
 
     @property
     def carina(self) -> int:
@@ -253,11 +254,11 @@ class _Matches:
     forks: _Forks
     shifts: Points
     score: Points
-    """(n,) correlation of each place, 0 where none was found."""
+    """(n,) correlation of the best match of each point of the first CT, 0 where no match was found."""
     field: Deformation
-    """Deformation by the found places that agree with their neighbours."""
+    """Deformation computed from the matches that agree with their neighbours."""
     num_vessels: int
-    """Number of vessels that were found."""
+    """Number of vessel points whose match in the second CT was found."""
 
 
 def _explained(
@@ -328,7 +329,7 @@ def _matched(
 
 
 def _consistent(places: Points, shifts: Points, score: Points, motion: Affine) -> Deformation:
-    """Return the deformation of the found places that agree with their neighbours."""
+    """Return the deformation computed from those found points that agree with their neighbours."""
     found = score >= MIN_SCORE
     for most_mm in (2.0 * MAX_RESIDUAL_MM, MAX_RESIDUAL_MM):
         field = Deformation(places[found], shifts[found], motion)

@@ -18,15 +18,15 @@ Mask = NDArray[np.bool_]
 MIN_RIGID, MIN_FORKS = 5, 8
 """Least number of forks that both trees name, and least number of them that follow one motion."""
 MIN_RIGID_SHARE = 0.6
-"""Least share of forks that follow one rigid motion within 15 mm."""
+"""Share of forks that follow one rigid motion within 15 mm below which the second CT may be another patient's."""
 MAX_TURN_DEG = 20.0
 """Largest rotation between both CTs in degrees; beyond it the patient is in another pose."""
 MAX_MEDIAN_MM = 5.0
-"""Largest median distance of the forks from their affine motion, mm."""
+"""Median distance in mm of the forks from their affine motion above which the second CT may be another patient's."""
 STRETCH = (0.7, 1.4)
-"""Least and largest stretch of the chest from the first CT to the second."""
+"""Least and largest factor by which the chest may be longer or wider in the second CT than in the first."""
 MIN_INSIDE = 0.85
-"""Least share of the forks of the first CT whose expected places are inside the second CT."""
+"""Share of the first CT's forks with expected positions inside the second CT, below which the second CT is refused."""
 MIN_SIZE = 0.9
 """Least size of the second CT on each axis as a share of the extent of the first CT's forks."""
 MIN_FORKS_FOUND = 0.85
@@ -35,7 +35,7 @@ MIN_FORKS_FOUND = 0.85
 The share is at least 0.95 in two CTs of one patient, and at most 0.8 in phantoms of two patients.
 """
 MIN_NEAR, NEAR_MM = 8, 45.0
-"""Least number of found places within a distance in mm of the target."""
+"""Least number of vessels and forks found in the second CT within a distance in mm of the target."""
 MIN_SLOPE = 0.15
 """Least increase of the lung's density towards one side, HU per mm, at which the patient's pose is known."""
 EVERY = 4
@@ -293,7 +293,7 @@ def check_structure(score: Points, least: float) -> None:
 
 
 def check_places(places: Points, target: Points) -> None:
-    """Raise an error if too few places near the target were found in the second CT."""
+    """Raise an error if too few vessels and forks near the target were found in the second CT."""
     num = int((np.linalg.norm(places - target, axis=1) <= NEAR_MM).sum())
     if num < MIN_NEAR:
         raise NoResultError(

@@ -19,7 +19,7 @@ The movement is 17.6 mm on average and more than 20 mm in the lower lobes (85 le
 2015;147:1275). The value of 15 mm elsewhere is common knowledge.
 """
 MAX_MOVED_MM = 60.0
-"""Largest movement that is accepted, mm."""
+"""Largest accepted error of a stated movement, mm; the movement itself may be twice as large."""
 NAMED_SHARE = 0.25
 """Least component of a shift, as a share of the shift's length, at which the text names its direction."""
 DIRECTIONS = (

@@ -15,7 +15,7 @@ from carina.plan.targets.grow_nodule import Nodule
 Points = NDArray[np.float64]
 Values = NDArray[np.float64]
 MAX_CELLS = 24
-"""Largest number of cells of a surface along its longest side."""
+"""Number of grid cells along the longest side of a nodule's surface mesh; larger nodules get larger cells."""
 PAD = 3
 
 

@@ -36,7 +36,7 @@ from carina.version import VERSION
 from carina.volume import Volume, ct_digest
 
 AROUND_MM = 30.0
-"""Distance in mm round a target in which pleura is searched."""
+"""Distance in mm from the target's edge beyond which pleura is not searched and is stated as *more than*."""
 TOUCHES_MM = 2.0
 """Distance in mm below which tissue cannot be distinguished from the blurred edge of a nodule."""
 
@@ -144,7 +144,7 @@ class PlanSheet:
     turn_pictures: tuple[TurnPicture, ...] = field(repr=False)
     """Picture of each turn of the route; empty if no pictures were made."""
     turn_clips: tuple[TurnClip | None, ...] = field(repr=False)
-    """Clip of the flight to each turn, or empty; None for a stretch without length."""
+    """Clip of the flight to each turn, or empty; None for a turn at the place of the turn before it."""
     forks: tuple[Fork, ...]
     operator: Operator
     place: TargetPlace
@@ -252,8 +252,8 @@ def make_sheet(
     carm
         Positions of a C-arm for the route (`carina.plan.carm_angles`), or none.
     progress
-        False, True or ``f(what, fraction)``. True, as None, shows a bar in a terminal or a notebook. The fraction is
-        None where it is unknown.
+        False, True, None or ``f(what, fraction)``. True and None show a progress bar in a terminal or a notebook; False
+        shows none. The fraction is None while the progress is unknown.
     cancel
         Called often; the work stops when it returns True.
 

@@ -16,7 +16,7 @@ from carina.track import AirwayTree, Branch
 
 Points = NDArray[np.float64]
 EVERY_MM = 2.5
-"""Distance in mm between the points of a centreline that drawings use."""
+"""Distance in mm between the points of a drawn centreline, which is coarser than the tree's."""
 
 
 @one_line
@@ -30,7 +30,7 @@ class ShapedBranch:
     radius_mm: Points
     on_route: bool
     is_found: bool
-    """Whether the CT shows the branch; drawn and bridged branches are not found."""
+    """Whether the branch was found in the CT and neither drawn by a user nor bridged across an obstruction."""
 
 
 @one_line

@@ -21,7 +21,7 @@ OTHER_ADVANCE, WIDE_ADVANCE = 0.7, 1.0
 """Widths of other characters as shares of the font size; the second one is that of East Asian characters."""
 FIRST_WIDE = 0x2E80
 BOLD = 1.16
-"""Width of bold text as a share of that of plain text."""
+"""Width of bold text as a multiple of the width of plain text."""
 
 
 def carina_cell(mm: float | None) -> str:

@@ -77,8 +77,8 @@ def write_report(
     paper
         Paper size of a PDF: ``A4`` or ``Letter``. The HTML page prints on both.
     progress
-        False, True or ``f(what, fraction)``. True, as None, shows a bar in a terminal or a notebook. The fraction is
-        None where it is unknown.
+        False, True, None or ``f(what, fraction)``. True and None show a progress bar in a terminal or a notebook; False
+        shows none. The fraction is None while the progress is unknown.
     cancel
         Called often; the work stops when it returns True.
 

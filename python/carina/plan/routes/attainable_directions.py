@@ -57,7 +57,7 @@ drives; a driven route is judged by the scope's own width.
 @one_line
 @dataclass(frozen=True, slots=True, eq=False)
 class AttainableTip:
-    """Position and direction of a scope's tip that the scope can take."""
+    """Position and direction that a scope's tip can take in the lumen."""
 
     tip_lps: Points
     forward: Points
@@ -73,10 +73,10 @@ class StandingPlace:
 
     branch_id: int
     along_mm: float
-    """Distance of the place from the root along the airways, mm."""
+    """Distance of the tip's position from the root along the airways, mm."""
     point_lps: Points
     forward: Points
-    """(3,) unit vector of the airway's direction at the place."""
+    """(3,) unit vector of the airway's direction at the tip's position."""
 
 
 class TipDirections:
@@ -96,7 +96,7 @@ class TipDirections:
         self._rigid_mm = scope.rigid_tip_mm or 0.0
         self._sharpest_mm = self._bending_mm = 0.0
         self.is_known = scope.flexion_deg is not None and scope.bending_mm is not None
-        """Whether flexion and bending section of the scope are known."""
+        """Whether the scope's flexion and bending section are known; otherwise its attainable directions are not."""
         if scope.flexion_deg is not None and scope.bending_mm is not None:
             self._bending_mm = float(np.mean(scope.bending_mm))
             self._sharpest_mm = self._bending_mm / math.radians(max(*scope.flexion_deg, 1.0))

@@ -28,7 +28,7 @@ Tissue = Literal[
 
 STEP_MM = 0.25
 MIN_MM = 0.5
-"""Least length in mm of a stretch of one tissue; a shorter stretch is added to the tissue before it."""
+"""Length in mm below which a part of the needle path in one tissue is added to the part before it."""
 SPREAD = 1.645
 """Number of standard deviations of the needle's error on each side that include 90 % of the needles."""
 BEYOND_MM = 10.0
@@ -46,12 +46,12 @@ class CrossedTissue:
 
     tissue: Tissue
     start_mm: float
-    """Distance of the start of the stretch from the tip of the scope, mm."""
+    """Distance from the tip of the scope to the start of this part of the needle path, mm."""
     length_mm: float
 
     @property
     def end_mm(self) -> float:
-        """Distance of the end of the stretch from the tip of the scope, mm."""
+        """Distance from the tip of the scope to the end of this part of the needle path, mm."""
         return self.start_mm + self.length_mm
 
 
@@ -214,7 +214,9 @@ def with_errors(scene: NeedleScene, leg: LastLeg) -> LastLeg:
 
 
 def leg_as_aimed(scene: NeedleScene, tip_lps: Points, forward: Points, aim_lps: Points | None = None) -> LastLeg:
-    """Compute `last_leg` for a needle without errors, whose share of hits is 1.
+    """Compute the needle's path from a tip to an aim as `last_leg` does, but for a needle without errors.
+
+    Such a needle always hits, so the share of hits of the result is 1.
 
     Parameters
     ----------
@@ -331,7 +333,10 @@ def _first_mm(there: NDArray[np.bool_]) -> float | None:
 
 
 def _near_vessels(to_vessel: Points, at: Points, points: Points, margin_mm: float) -> tuple[NearVessel, ...]:
-    """Return the nearest point for each stretch of the needle on which a vessel is nearer than the margin."""
+    """Return one point for each part of the needle near a vessel: the point at which the vessel is nearest.
+
+    A part is near a vessel if its distance is below the margin.
+    """
     near = np.flatnonzero(to_vessel < margin_mm)
     if not near.size:
         return ()

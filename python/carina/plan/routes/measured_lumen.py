@@ -199,9 +199,9 @@ class _BranchLumen:
     error_mm: Points
     """Half of the interval of the diameter, mm; NaN where it is unknown."""
     is_open: NDArray[np.bool_]
-    """Whether the lumen could not be measured."""
+    """Whether (n,) the lumen could not be measured at each point, so that its width is open."""
     is_sound: NDArray[np.bool_]
-    """Whether a section away from forks was measured."""
+    """Whether (n,) a section near each point and away from forks was measured."""
 
 
 def _branch_lumen(branch: Branch, wall: WallField, measured: BranchMeasures, passage: Passage) -> _BranchLumen:

@@ -118,7 +118,7 @@ class PlannedRoute:
     """Whether the scope with its margin fits through the route, may fit within the errors, or does not fit."""
     leg: LastLeg
     parts: dict[str, float]
-    """Parts of the route's score by name, each 0 (best) to 1 (`ScoreWeights`)."""
+    """Contributions to the route's score by name (see `ScoreWeights`), each 0 (best) to 1."""
     score: float
     """Score of the route, 0 to 1 (best)."""
     doubts: tuple[str, ...]
@@ -141,7 +141,7 @@ class PlannedRoute:
     hold: ScopeHold | None = None
     """Insertion, roll and lever with which the drive points at the target; None without a drive that arrives."""
     withdrawn_mm: float = 0.0
-    """Distance in mm by which the drive withdraws the tip from the stated place to aim at the target; 0 without."""
+    """Distance in mm by which the drive withdraws the tip from the route's end to aim at the target."""
     predictors: RoutePredictors | None = None
     """Published predictors of a failed navigation; None for a route that was not made by `plan_route`."""
     openings: dict[int, RouteOpening] = field(default_factory=dict)
@@ -336,7 +336,7 @@ class Plan(Tabular):
 
     @property
     def moved_mm(self) -> float:
-        """Largest distance of the target from its place in the CT, mm."""
+        """Largest distance in mm of the target from its position in the CT that the plan considers."""
         return self.movement.most_mm
 
     def _columns(self) -> Columns:
@@ -403,9 +403,12 @@ class DraftPlan:
     judge: Judge
     wall: WallField
     scene: NeedleScene | None
-    """Target, tissues and needle; None if no place is near enough to the target."""
+    """Target, tissues and needle; None if no position of the scope is near enough to the target."""
     spares: tuple[PlannedRoute, ...]
-    """Second-best places of branches of the plan's routes, which are driven if the drive to the best one fails."""
+    """Routes to second-best scope positions in the branches of the plan's routes.
+
+    They are driven if the drive to the best position of the branch fails.
+    """
 
     def leg_of(self, tip_lps: Points, forward: Points, needle: Points, aim: Points) -> LastLeg:
         """Return the needle path from a tip in a direction, with the needle's errors and the target's movement.
@@ -645,7 +648,11 @@ class _PositionSearch:
 
     @staticmethod
     def apart_from(route: PlannedRoute, drafts: Sequence[_DraftRoute]) -> list[_DraftRoute]:
-        """Return the drafts that the scope may reach and whose places are not near the place of a route."""
+        """Return the drafts (routes without the needle's errors) that are more than `APART_MM` from a given route.
+
+        The distance is that of both scope positions along the branch. Drafts whose outlook is *does not reach* are
+        omitted.
+        """
         return [
             one
             for one in drafts
@@ -690,7 +697,7 @@ def _aims(nodule: Nodule, aims: ArrayLike | None) -> Points:
 
 
 def _route(places: Places, n: int, aim: int, leg: LastLeg, *, asked: Demands, judge: Judge) -> PlannedRoute:
-    """Return a route to a place with its last leg and its score."""
+    """Return the route to a scope position, with the needle's path from there and the route's score."""
     branch = places.of_branch(n)
     parts = judge.parts(leg, asked.width.mm, places.nodule)
     outlook, chance, limits = judge.outlook(asked, leg)

@@ -26,7 +26,7 @@ SECTION_MM = 20.0
 CHORD_MM = 3.0
 """Half the length in mm of the chords that give the direction of the axis."""
 STEP_MM = 0.25
-"""Distance in mm between the places at which the direction of the axis is measured."""
+"""Distance in mm between the points of an airway's axis at which its direction is measured."""
 PREDICTOR_SOURCE = "Cancer Imaging 2024, doi 10.1186/s40644-024-00730-7"
 """Publication of the predictors; only its abstract was read."""
 PREDICTOR_WORDS = (
@@ -48,7 +48,7 @@ class RoutePredictors:
     route passes no fork.
     """
     width: RouteWidth
-    """Least diameter of the last section, with its error and place."""
+    """Least diameter of the lumen in the route's last section, with its error and position."""
     curvature_per_mm: float | None
     """Mean curvature of the last section's axis, 1/mm: the sum of its turns divided by its length.
 

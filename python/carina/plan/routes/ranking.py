@@ -21,7 +21,7 @@ from carina.scopes import ScopePreset
 
 Outlook = Literal["reaches", "may reach", "does not reach"]
 OUTLOOKS: tuple[Outlook, ...] = ("reaches", "may reach", "does not reach")
-"""Possible outlooks of a route, the best first."""
+"""Answers to the question whether the scope reaches the target by a route (its *outlook*), the best first."""
 RANK: dict[Outlook, int] = {outlook: rank for rank, outlook in enumerate(OUTLOOKS)}
 
 DEEP_MM = 8.0
@@ -47,7 +47,7 @@ class ScoreWeights:
     """Weights of the parts of a route's score; each part is 0 at its best and 1 at its worst."""
 
     misses: float = 0.25
-    """Weight of the share of needle positions that miss the target."""
+    """Weight of the share of needles that miss the target."""
     way: float = 0.15
     """Weight of the needle's distance outside the lumen, divided by the tool's reach."""
     angle: float = 0.15
@@ -66,7 +66,7 @@ class ScoreWeights:
     """Weight of a short length of needle in the target, compared with 8 mm or 90 % of the target's short diameter."""
 
     def __post_init__(self) -> None:
-        """Check the weights."""
+        """Raise an error if a weight is negative or not finite, or if all weights are 0."""
         check_fields(self, **dict.fromkeys(self.__slots__, number_from(0.0, 1e6)))
         values = [getattr(self, name) for name in self.__slots__]
         if not all(math.isfinite(v) and v >= 0.0 for v in values) or sum(values) <= 0.0:
@@ -79,7 +79,7 @@ class ScoreWeights:
 
 @dataclass(frozen=True, slots=True)
 class WorstValue:
-    """Worst value of a measure along a path from the root, and the place of this value."""
+    """Worst value of a measure along a path from the root, and the position of this value on the path."""
 
     value: float
     at_mm: float

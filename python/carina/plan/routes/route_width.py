@@ -74,16 +74,16 @@ class RouteWidth:
     error_mm: float
     """Half width in mm of the interval that contains the true diameter with 90 % probability."""
     at_mm: float
-    """Distance of the narrowest place from the origin, mm."""
+    """Distance in mm of the narrowest place from the route's origin."""
     source: WidthSource = "sections"
     """Source of the diameter.
 
     ``ball`` if the diameter or its lower limit depends on a part that could not be measured.
     """
     why: str | None = None
-    """Part that could not be measured, and the reason; None for ``sections``."""
+    """Part of the route whose width could not be measured, and the reason; None if measured sections give the width."""
     origin: DistanceOrigin = ROOT
-    """Origin of ``at_mm``."""
+    """Point from which ``at_mm`` is counted: the root of the tree, or the main carina."""
 
     def __post_init__(self) -> None:
         """Raise an error if a field of this `RouteWidth` has an invalid value."""

@@ -25,10 +25,10 @@ Points = NDArray[np.float64]
 BronchusSign = Literal["into", "beside", "none"]
 
 PLACES_MM = 0.7
-"""Least distance in mm between two evaluated scope positions on one branch."""
+"""Distance in mm between two scope positions on one branch that are evaluated in the first pass."""
 ON_BRANCH_MM = 0.001
 FINE_MM = 0.175
-"""Distance in mm between the additional scope positions round the best ones."""
+"""Distance in mm between the additional scope positions that a second pass evaluates round the best ones."""
 LOWER_LOBES = {"RUL": "RLL", "RML": "RLL", "LUL": "LLL", "LML": "LLL"}
 """Lower lobe of the same lung for each other lobe; a mirrored chest has LML."""
 EITHER_LOBE_MM = 5.0
@@ -53,16 +53,16 @@ class NearestPlace:
     branch_name: str
     place_lps: tuple[float, float, float]
     along_mm: float
-    """Distance of the place from the root along the airways, mm."""
+    """Distance of the scope position from the root along the airways, mm."""
     width_mm: float
-    """Diameter of the largest ball that fits in the airway at the place, mm."""
+    """Diameter in mm of the largest ball that fits in the airway at the scope position."""
     gap_mm: float
-    """Distance from the middle of the airway at the place to the edge of the target, mm."""
+    """Distance in mm from the middle of the airway at the scope position to the edge of the target."""
     from_carina_mm: float | None = None
-    """Distance of the place from the main carina, mm; None if the route to the place passes no main carina."""
+    """Distance in mm of the scope position from the main carina; None if the route to it passes no main carina."""
 
     def to_json(self) -> dict[str, Any]:
-        """Return the place as plain JSON types."""
+        """Return the scope position as plain JSON types."""
         return {
             "branch_id": self.branch_id,
             "branch_name": self.branch_name,
@@ -181,7 +181,7 @@ class Places(Ways):
         self.distance: Points = np.linalg.norm(self.points - np.array(nodule.centre_lps), axis=1)
 
     def angle_deg(self, aim_lps: Points) -> Points:
-        """Return the angle in degrees between the airway and the direction to an aim, at each place."""
+        """Return the angle in degrees between the airway and the direction to an aim, at each scope position."""
         off = aim_lps - self.points
         cosine = (off * self.forward).sum(axis=1) / np.maximum(np.linalg.norm(off, axis=1), 1e-9)
         found: Points = np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0)))
@@ -319,7 +319,7 @@ class Places(Ways):
         return replace(default_movement(lower), notes=(note,))
 
     def nearest(self) -> NearestPlace | None:
-        """Return the place nearest to the nodule's edge; None for a tree without branches."""
+        """Return the scope position nearest to the nodule's edge; None for a tree without branches."""
         if not len(self.points):
             return None
         # The place nearest to the edge is at most one nodule length farther from the centre than the nearest place.

@@ -31,7 +31,7 @@ from carina.volume.mask_distances import ball_distance, distance_from, extent
 Mask = NDArray[np.bool_]
 
 CLICK_MM = 4.0
-"""Radius in mm around a click in which the nodule is searched."""
+"""Distance in mm from a click within which the nodule's densest voxel is searched; beyond it, there is no nodule."""
 SMOOTH_MM = 0.7
 SEED_SMOOTH_MM = 1.0
 SEED_RISE_SHARE = 0.75
@@ -63,11 +63,11 @@ RIM_DEEP_MM, RIM_BIN_MM, NUM_RIMS = (0.4, 2.8), 0.4, 2
 Each repetition measures the density inside the boundary that the previous repetition found.
 """
 MIN_RING = 20
-"""Least number of voxels of a region whose density is measured."""
+"""Number of voxels of a region below which its density is not measured."""
 CAVITY_MM, SMALLEST_CAVITY_MM3 = 0.9, 10.0
 """Least radius in mm of the largest ball inside a cavity, and least volume of a cavity; smaller hollows are noise."""
 MIN_RISE_HU = 110.0
-"""Least difference in HU between a nodule and the lung."""
+"""Difference in HU from the lung below which a click has no nodule."""
 HALVES_MM = (22.0, 36.0, 60.0)
 """Half side lengths in mm of the boxes that are searched in turn.
 
@@ -91,7 +91,7 @@ WIDE_OFF_MM = 0.5
 MIN_FREE = 0.35
 """Least share of the surface of a nodule with a wide contact that faces the lung."""
 RIM_MM = 1.6
-"""Distance in mm over which blur spreads a boundary."""
+"""Distance in mm from a sharp edge over which the blur of a CT spreads the edge."""
 STUB_MM = 2.0
 """Largest length in mm of a removed part that still belongs to the nodule; longer removed parts are vessels."""
 FILM_MM = 1.1
@@ -173,14 +173,14 @@ class Boundary:
                     break
                 self._grow(self.rim_hu)
         self.has_glass = glass is not None
-        """Whether ground glass surrounds a denser part."""
+        """Whether ground glass surrounds a denser part (a part-solid nodule)."""
 
     def _state(self) -> dict[str, Any]:
         """Return the attributes that `_grow` sets."""
         return {name: getattr(self, name) for name in GROWN}
 
     def _restore(self, state: dict[str, Any]) -> None:
-        """Set the attributes of a boundary that `_state` returned."""
+        """Set the attributes of this boundary to the values that `_state` returned earlier."""
         for name, value in state.items():
             setattr(self, name, value)
 

@@ -84,7 +84,7 @@ class LungSide:
 
     @functools.cached_property
     def has_wall(self) -> bool:
-        """Whether tissue wider than a vessel reaches the faces of the box."""
+        """Whether the examined box contains tissue wider than a vessel at its faces, such as the chest wall."""
         return bool(from_faces(ball_distance(self.dense, self.box.step_mm, VESSEL_MM) > VESSEL_MM).any())
 
     @functools.cached_property

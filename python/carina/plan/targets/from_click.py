@@ -51,8 +51,9 @@ def target_from_click(
     confirmed
         Doubts that the user has confirmed: True for all, or their codes.
     progress
-        False, True or ``f(what, fraction)``. True, as None, shows a bar in a terminal or a notebook. The fraction is
-        None where it is unknown. It may raise CancelledError.
+        False, True, None or ``f(what, fraction)``. True and None show a progress bar in a terminal or a notebook; False
+        shows none. The fraction is None while the progress is unknown. The function may raise CancelledError to stop
+        the calculation.
 
     Examples
     --------

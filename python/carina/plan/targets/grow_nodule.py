@@ -116,8 +116,9 @@ def grow_nodule(
         The airways' wall (`carina.wall_field`). With it, tissue that protrudes into an airway is segmented as a
         separate lesion, and a click into a lumen without a lesion is refused.
     progress
-        False, True or ``f(what, fraction)``. True, as None, shows a bar in a terminal or a notebook. The fraction is
-        None where it is unknown. It may raise CancelledError.
+        False, True, None or ``f(what, fraction)``. True and None show a progress bar in a terminal or a notebook; False
+        shows none. The fraction is None while the progress is unknown. The function may raise CancelledError to stop
+        the calculation.
 
     Returns
     -------

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from carina.errors import VolumeImportError
 
 LINES = 8
-"""Number of lines per voxel on which an outline is sampled."""
+"""Number of scan lines per voxel with which an outline's area is sampled."""
 ON_CENTRE = 0.02
 """Largest distance in voxels between corners and voxel centres for an outline that runs through the centres."""
 ENCLOSED = 0.999
@@ -62,7 +62,7 @@ class SliceShare:
     apart_vox: float = 0.0
     """Largest mean distance in voxels between two outlines that were merged."""
     hole_vox: float = 0.0
-    """Area of the holes that nested CLOSED_PLANAR outlines make, in voxels."""
+    """Area in voxels of the holes that nested CLOSED_PLANAR outlines leave."""
 
 
 def slice_share(outlines: Sequence[SliceOutline], shape: tuple[int, int], *, centred: bool) -> SliceShare:
@@ -112,7 +112,7 @@ def slice_share(outlines: Sequence[SliceOutline], shape: tuple[int, int], *, cen
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Shape:
-    """A rasterised outline."""
+    """One outline of a slice, as the covered share of each voxel."""
 
     cover: NDArray[np.float64]
     perimeter_vox: float
@@ -140,10 +140,10 @@ class _Shape:
 
 
 def _merged(shapes: Sequence[_Shape]) -> tuple[list[_Shape], int, float]:
-    """Merge outlines of one boundary.
+    """Replace outlines of a slice that draw the same boundary by their mean.
 
-    Return the remaining shapes, the number of merged outlines, and the largest distance in voxels between merged
-    outlines.
+    Return the remaining shapes, the number of outlines that were removed, and the largest distance in voxels between
+    an outline and the one that it was merged with (0 if none was merged).
     """
     groups: list[list[_Shape]] = []
     apart = 0.0

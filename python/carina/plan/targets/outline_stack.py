@@ -98,7 +98,7 @@ class OutlineStack:
 
     @property
     def reach(self) -> float:
-        """Extent of an end slab beyond its outline, in slices of the CT."""
+        """Distance to which the structure extends beyond its first and last outline, in slices of the CT."""
         return 0.5 * self.step
 
     def at(self, height: float) -> NDArray[np.float64]:

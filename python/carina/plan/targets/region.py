@@ -35,7 +35,7 @@ WALL_HU = -400.0
 THICK_MM = 3.5
 """Radius in mm of the opening that removes vessels from tissue; chest wall, mediastinum and diaphragm remain."""
 LOOK_MM = 12.0
-"""Distance in mm round a target within which the tissue is examined."""
+"""Distance in mm from a target's edge within which the tissue is examined for the target's region."""
 SHELL_MM = (2.0, 4.0)
 """Range of distances in mm of the shell round a target; the blur of the target's edge ends before the shell."""
 BURIED, BESIDE = 0.6, 0.06

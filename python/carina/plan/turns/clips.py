@@ -26,7 +26,7 @@ from carina.track import Airways
 from carina.volume import Volume
 
 MAX_FRAMES = 24
-"""Largest number of frames of a clip."""
+"""Largest number of frames of a clip; a request for more is refused."""
 SIZES_PX = (64, 512)
 LONGEST_S = 4.0
 """Longest duration of a clip in s; a longer flight is shown faster."""
@@ -37,7 +37,7 @@ QUALITY = 70
 @one_line
 @dataclass(frozen=True, slots=True, eq=False)
 class TurnClip:
-    """Clip of the flight along one stretch of a route."""
+    """Clip of a simulated flight along the part of a route that ends in front of one turn."""
 
     turn: Turn
     operator: Operator
@@ -76,7 +76,7 @@ def turn_clips(
     progress: ProgressChoice = None,
     cancel: Callable[[], bool] | None = None,
 ) -> tuple[TurnClip | None, ...]:
-    """Render a clip of each stretch of a route.
+    """Render a clip of the flight to each turn of a route.
 
     Parameters
     ----------
@@ -93,15 +93,15 @@ def turn_clips(
     renderer
         Renderer of this volume with these airways; created if None.
     progress
-        False, True or ``f(what, fraction)``. True, as None, shows a bar in a terminal or a notebook. The fraction is
-        None where it is unknown.
+        False, True, None or ``f(what, fraction)``. True and None show a progress bar in a terminal or a notebook; False
+        shows none. The fraction is None while the progress is unknown.
     cancel
         Called often; the work stops when it returns True.
 
     Returns
     -------
     tuple
-        Clips in the order of the turns; None for a stretch without length, as between two forks at one place.
+        Clips in the order of the turns; None for a turn at the place of the turn before it, to which nothing is flown.
 
     Raises
     ------
@@ -126,7 +126,7 @@ def turn_clips(
     report = progress_function(progress)
     made: list[TurnClip | None] = []
     for index, turn in enumerate(turns.turns):
-        # raises if the turn has no camera position; the except clause handles only stretches without length
+        # raises if the turn has no camera position; the except clause handles only flights without length
         turn.camera(operator)
         try:
             times, poses = turn_flight(airways.tree, planned, turns, index, operator=operator)

@@ -18,9 +18,9 @@ from carina.render.picture_text import DRAWN_RGB, QUIET_RGB
 NOT_A_DEVICE = "Not a medical device. Not for diagnosis."
 GAP_PX = 16
 LETTER_PX = 2
-"""Size of a dot of the captions' letters, pixels."""
+"""Size in pixels of one dot of the captions' dot-matrix letters."""
 MAX_LINES = 6
-"""Largest number of lines of a caption."""
+"""Number of lines of a caption; further lines are omitted."""
 BACKGROUND_RGB = (14, 17, 19)
 WIDTH_TO_HEIGHT = 1.4
 """Intended ratio of the sheet's sides, that of a screen or a page."""

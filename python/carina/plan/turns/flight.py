@@ -65,7 +65,7 @@ def turn_flight(
     UsageError
         If there is no such turn, or a number is out of range.
     NoResultError
-        If the stretch has no length, or a turn has no camera position.
+        If the flight to the turn has no length, or a turn has no camera position.
     """
     check_type("turn_flight", "tree", tree, AirwayTree, "it is the tree of carina.find_airways")
     check_type("turn_flight", "planned", planned, PlannedRoute, "it is one of the routes of carina.plan_route")
@@ -159,7 +159,7 @@ def _off(pose: Pose, wanted: Pose | None, operator: Operator) -> tuple[Points, P
 
 
 def _eased(path: FlightPath, base: Points, off: list[tuple[Points, Points]], at_mm: float, length_mm: float) -> Pose:
-    """Return the pose at a position of the stretch: the pose of the path with blended corrections of both ends."""
+    """Return the pose at a position of the flight to a turn: that of the path, blended into the poses of both ends."""
     share = at_mm / length_mm
     late = share * share * (3.0 - 2.0 * share)
     pose = _posed(path, at_mm, base).lps_from_camera.copy()

@@ -31,7 +31,7 @@ radius. The angles of all other openings must be at least the third number times
 then inside the opening's outline, so the opening has no clock hour.
 """
 MIN_SHARE = 2e-3
-"""Least share of the picture's pixels for an opening in view."""
+"""Share of the picture's pixels below which an opening does not count as visible."""
 HIDDEN_DEG = 2.0
 """Angle in degrees above which an opening counts as hidden: between its visible part and its branch's beginning."""
 MIN_STAND_MM = 3.0

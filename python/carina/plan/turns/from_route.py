@@ -306,12 +306,12 @@ class _ForkPicture:
 
     @property
     def num_in_view(self) -> int:
-        """Number of visible openings."""
+        """Number of openings of the fork that are visible from the camera."""
         return sum(opening.in_view for opening in self.openings)
 
     @property
     def is_clear(self) -> bool:
-        """Whether the clock hour is precise."""
+        """Whether the opening is far enough from straight ahead (`CLEAR_DEG`) for a precise clock hour."""
         return self.has_hour and self.openings[0].off_deg >= CLEAR_DEG
 
     @property

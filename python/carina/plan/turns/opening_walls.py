@@ -29,7 +29,7 @@ BEYOND_RADII = 0.25
 Nearer to the other lumens, most of the ball round the centreline is inside them.
 """
 FARTHEST_MM = 80.0
-"""Largest distance in mm of a wall from the camera."""
+"""Distance in mm from the camera beyond which a wall is ignored."""
 TOUCH_MM = 0.05
 """Distance in mm from the wall at which a ray has met the wall."""
 MIN_STEP_MM = 0.15

@@ -34,20 +34,20 @@ Field = NDArray[np.float64]
 
 SIZES_PX = (128, 2048)
 LINE_PX = 2.5
-"""Width of the outline in pixels of a picture of 512 pixels."""
+"""Width in pixels of the outline round an opening, in a picture of 512 pixels; it grows with the picture."""
 SMOOTH_PX = 2.0
 """Sigma of the smoothing of the outline, in pixels of a picture of 512 pixels."""
 ROUTE_RGB = (79, 211, 230)
 DOUBTFUL_RGB = (244, 180, 76)
 """Colour of an opening into a branch that the CT does not show with certainty."""
 COARSE = 2
-"""Step in pixels at which pixels of wall are assigned to branches."""
+"""Step in pixels of the coarser picture in which each pixel of wall is assigned to a branch."""
 
 
 @one_line
 @dataclass(frozen=True, slots=True, eq=False)
 class TurnPicture:
-    """Picture before one turn."""
+    """Picture of the airway in front of one turn, with the opening to take outlined."""
 
     turn: Turn
     operator: Operator
@@ -68,7 +68,7 @@ class TurnPicture:
 
     @property
     def camera(self) -> Pose:
-        """Pose of the camera."""
+        """Pose of the camera that renders the picture."""
         return self.turn.camera(self.operator)
 
     @property
@@ -121,8 +121,8 @@ def turn_pictures(
     renderer
         Renderer of this volume with these airways; created if None.
     progress
-        False, True or ``f(what, fraction)``. True, as None, shows a bar in a terminal or a notebook. The fraction is
-        None where it is unknown.
+        False, True, None or ``f(what, fraction)``. True and None show a progress bar in a terminal or a notebook; False
+        shows none. The fraction is None while the progress is unknown.
     cancel
         Called often; the work stops when it returns True.
 

@@ -1,4 +1,4 @@
-"""Text of a turn: hours, places and moves of the hand."""
+"""Text of a turn: clock hours, distances and moves of the hand."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def place_words(from_carina_mm: float | None, from_fork_mm: float, depth_mm: flo
 
 
 def with_depth(where: str, depth_mm: float | None) -> str:
-    """Return the text of a place with its depth at nose or mouth added, if the depth is known."""
+    """Return the text of a position on the route, with the insertion depth at nose or mouth if it is known."""
     return (
         where if depth_mm is None else f"{where} (about {round(depth_mm / 5.0) / 2.0:g} cm on the scope, an estimate)"
     )

@@ -54,7 +54,7 @@ class DrivenRoute:
     time_s: NDArray[np.float64]
     """(n,) time of each sample in seconds, at 60 degrees/s and 10 mm/s."""
     arrived: bool
-    """Whether the tip reached the end of the route."""
+    """Whether the simulated tip reached the end of the route."""
     stopped_mm: float
     """Distance of the tip from the origin of the route at the end of the drive, mm."""
     why: str | None

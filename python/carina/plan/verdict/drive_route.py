@@ -22,7 +22,7 @@ FINE_MM = 0.5
 MIN_AHEAD_MM = 4.0
 NUM_ON_LINE = 14
 SHARES_AHEAD = np.linspace(0.1, 1.0, NUM_ON_LINE)[None, :, None]
-"""Tested places of a line of sight as shares of its length."""
+"""Positions at which a line of sight is tested for walls, as shares of its length."""
 SHARES = np.linspace(0.0, 1.0, 9)[:, None]
 """Tested places between a tip and the centreline as shares of their distance."""
 

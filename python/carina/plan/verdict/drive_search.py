@@ -52,7 +52,7 @@ CONDENSING = 60
 STATION_MM = 2.0
 """Distance in mm along the route between stored copies of an attempt from which other attempts can start."""
 MAX_STORED = 3
-"""Number of stored attempts from which others start."""
+"""Number of the best attempts that are stored, from which later attempts start."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,7 +75,7 @@ class _Rule:
     dead_deg: float = 8.0
     """Angle in degrees between the tip's direction and the steering point below which roll and lever stay unchanged."""
     hold_mm: float = 2.0
-    """Least insertion in mm between two changes of roll or lever."""
+    """Insertion in mm during which roll and lever do not change after a change."""
     rate_deg: float = 15.0
     """Largest change of flexion in one step, degrees."""
     slack_deg: float = 60.0
@@ -294,7 +294,7 @@ def arrives_by(way: DriveWay, wall: WallField, scope: ScopePreset, moves: tuple[
 
 
 class _Attempt:
-    """Simulated scope on its way along the route."""
+    """Simulated drive of a scope along the route with one set of parameters, until it arrives or gets stuck."""
 
     def __init__(self, way: DriveWay, drive: ScopeDrive) -> None:
         self.way, self.recorder = way, MoveRecorder(drive)

@@ -101,7 +101,7 @@ class InstrumentChecks:
     driven_as: ScopePreset | None
     """Instrument whose drive is simulated, or a thinner substitute; None if no drive is needed or possible."""
     is_substitute: bool = False
-    """Whether ``driven_as`` is a substitute."""
+    """Whether the driven instrument ``driven_as`` is a thinner substitute, which proves nothing for the real width."""
 
     @property
     def drive_key(self) -> tuple[Any, ...]:
@@ -112,7 +112,7 @@ class InstrumentChecks:
 
 @dataclass(frozen=True, slots=True)
 class SimulatedDrive:
-    """Results of a simulated drive."""
+    """Results of a simulated drive of one instrument along one route."""
 
     route: DrivenRoute | None
     checks: tuple[Check, ...]

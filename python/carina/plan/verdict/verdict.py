@@ -33,7 +33,7 @@ class Verdict:
     scope: ScopePreset
     outcome: Outcome
     share: float | None
-    """Smallest probability of the checks; None if it cannot be computed."""
+    """Smallest of the probabilities of the single checks; None if one of them cannot be computed."""
     checks: tuple[Check, ...]
     reached_mm: float | None
     """Distance in mm from the origin of the route to the place that the tip reaches; None if it is not known."""

@@ -22,19 +22,19 @@ from carina.volume import badges_of
 
 SIDES_PX = (16, 8192)
 UPDATE_S = 20.0
-"""Longest wait for the renderer to show the newest airways and transfer function."""
+"""Longest time in s to wait until the renderer shows the newest airways and transfer function."""
 LOOK_S = 0.05
-"""Time between two checks."""
+"""Time in s between two checks whether the renderer shows them."""
 DISCONNECT_CHECK_S = 0.2
-"""Time between two checks whether the client has disconnected."""
+"""Time in s between two checks whether the client has disconnected."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PictureOrder:
-    """Size and marks of a requested picture."""
+    """Size and marks of a picture that the user saves."""
 
     size_px: tuple[int, int]
-    """Width and height of the file."""
+    """Width and height of the saved picture in pixels."""
     screen_width: int
     """Width in pixels of the picture in the window, to which the scales of the window apply."""
     window: int

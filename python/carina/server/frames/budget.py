@@ -20,9 +20,9 @@ class Level:
     """Quality level of a picture: its size and its ray step."""
 
     scale: float
-    """Factor on both sides of the picture, at most 1."""
+    """Factor on the width and the height of the picture, at most 1."""
     step_vox: float
-    """Ray step in voxels."""
+    """Length of a ray step in voxels; longer steps are faster and coarser."""
 
     @property
     def work(self) -> float:

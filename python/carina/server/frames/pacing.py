@@ -46,7 +46,7 @@ FINDER, MOVING, PAUSED, FULL = 0, 1, 2, 3
 
 @dataclass(frozen=True, slots=True)
 class RenderOrder:
-    """One picture to render."""
+    """Order to render one picture of one view with a given quality."""
 
     view: str
     """Name of the view in which the picture is shown."""
@@ -81,7 +81,7 @@ class _PacedView:
     in_flight: dict[int, float] = field(default_factory=dict)
     """Unacknowledged pictures: frame id to time of sending in seconds."""
     was_still: bool = True
-    """Whether no moving picture was ordered since the view was last still."""
+    """Whether the view was still before the current movement, so that no moving picture was ordered yet."""
 
     @property
     def pixels(self) -> int:

@@ -188,7 +188,7 @@ class FramePump:
             return self._scheduler.should_cancel(order, _content_keys(scene, self._scheduler), now_s)
 
     def stop(self) -> None:
-        """End :meth:`run` after the picture in progress."""
+        """End :meth:`run` when the picture in progress is rendered."""
         self._stopped = True
         self._woken.set()
 
@@ -229,7 +229,8 @@ class FramePump:
         if order is None:
             return False
         try:
-            # Checked again: a change before `_under_way` was set could not cancel this picture.
+            # A change of the scene before `_under_way` was set could not cancel this picture, so the order is checked
+            # once more before it is rendered.
             if order.grade > MOVING and self._is_obsolete(order):
                 return True
             self._render(scene, order, stop, began_s)

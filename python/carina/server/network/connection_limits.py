@@ -77,7 +77,7 @@ class UnauthenticatedConnections:
 
     @property
     def num(self) -> int:
-        """Number of open unauthenticated connections."""
+        """Number of connections that are open and not authenticated yet."""
         self._drop_old_counts()
         return len(self._all)
 

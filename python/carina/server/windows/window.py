@@ -59,7 +59,7 @@ class Host(Protocol):
         """Execute a message of a window that concerns the session or other windows."""
 
     def detach(self, window: Window) -> None:
-        """Remove a disconnected window."""
+        """Remove a window whose connection was closed."""
 
     def watching_text(self) -> str:
         """Return the ``Watching`` message as JSON: the state of the viewing page and its observers."""

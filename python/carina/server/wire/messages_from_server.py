@@ -70,7 +70,7 @@ class CaseListEntry(FrozenValue, frozen=True):
     num_changes: Count | None = None
     """Number of changes; null if only the path of the CT is stored."""
     num_nodules: Count | None = None
-    """Number of targets with a size; null if it is not known."""
+    """Number of targets whose size is known; null if this number is not known."""
     num_bytes: Bytes = 0
     """Size of the stored case on the disk, without its CT."""
     picture: Words | None = None
@@ -87,7 +87,7 @@ class Storage(FrozenValue, frozen=True):
     """Data stored on the disk besides the cases of the case list."""
 
     num_cts: Count
-    """Number of CTs in the cache, which makes them open faster."""
+    """Number of CTs that are stored in the cache, from which they open faster."""
     ct_bytes: Bytes
     keeps_cts: Literal["on", "off", "never"]
     """State of the CT cache; *never*: Carina was started without the cache."""
@@ -170,7 +170,7 @@ class CaseNote(FrozenValue, frozen=True):
     code: Identifier
     words: Words
     badge: bool
-    """Whether the note stays visible while the case is open."""
+    """Whether the note is a badge: visible while the case is open."""
 
 
 class CaseInfo(FrozenValue, frozen=True):
@@ -212,13 +212,13 @@ class TargetInfo(AskedPath, frozen=True):
     target_id: Identifier
     name: Words
     lps: PointLps
-    """Requested point."""
+    """Point that the client requested, LPS mm."""
     used_lps: PointLps | None
-    """End point of the path."""
+    """End point of the path, which may differ from the requested point, LPS mm; null without a path."""
     snapped_mm: float | None
     """Distance in mm between the requested point and the point that is used."""
     length_mm: float | None
-    """Length of the path in mm."""
+    """Length of the path in mm; null without a path."""
     problem: Words | None
     """Reason why there is no path; null if there is one."""
     outside_mm: float | None = None
@@ -253,7 +253,7 @@ class State(ServerMessage, frozen=True):
     look: Look
     sight: Sight
     transfer: Words
-    """Name of the transfer function."""
+    """Name of the transfer function that the renderer uses."""
     transfer_document: dict[str, Any] | None
     transfer_presets: tuple[Words, ...]
     targets: tuple[TargetInfo, ...]
@@ -278,7 +278,7 @@ class HistoryStep(FrozenValue, frozen=True):
     """A step of the undo history."""
 
     label: Words
-    """Text that names the change."""
+    """Text that names the change, such as in *undo (text)*."""
     at_s: float
     """Time in seconds since the case was begun (``saving.begun_s``)."""
 
@@ -310,7 +310,7 @@ class RouteInfo(DrawnPart, frozen=True, kw_only=True):
     """Distance in mm of each point from the root, along the route."""
     generation: Annotated[tuple[Annotated[int, Meta(ge=0, le=1000)], ...], Meta(max_length=1_000_000)]
     radius_mm: Numbers
-    """Radius in mm of the circle with the area of the branch's cross-section."""
+    """Radius in mm of the circle that has the area of the branch's cross-section, at each point."""
     wall_mm: Numbers
     """Radius in mm of the largest ball that fits into the lumen: the space for an instrument."""
     forks_mm: Numbers
@@ -366,7 +366,7 @@ class HeldScope(ScopeHold, frozen=True):
     contact_mm: float | None
     """Distance in mm by which the commanded tip exceeds the position that the wall permits; null without contact."""
     num_contacts: Count
-    """Number of contacts since the scope was placed."""
+    """Number of contacts of the tip with the wall since the scope was placed."""
     contact_s: float
     """Total time of these contacts in s."""
 
@@ -479,7 +479,7 @@ class Value(ServerMessage, frozen=True):
     """Answer to ``probe``; the server answers only the newest request."""
 
     lps: PointLps
-    """Requested point."""
+    """Point for which the measurement was requested, LPS mm."""
     voxel_value: Annotated[int, Meta(ge=-32_768, le=32_767)] | None
     """Value of the voxel at the point: HU, or the file's values if the volume is not in HU; null outside the volume."""
 
@@ -601,7 +601,7 @@ class PictureHeader(FrozenValue, frozen=True):
     Columns and rows are corner coordinates of *this* image (the centre of a pixel is at +0.5).
     """
     lines: PictureLineRows | None
-    """Geometry of a view along the route, else null."""
+    """Positions of the rows of a curved reformation along the route; null for other views."""
     outline: PictureOutline | None
     """Outline of the current lumen in slices and in the cut-plane (in the middle plane of a thick slice), else null."""
     width: Pixels

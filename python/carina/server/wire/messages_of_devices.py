@@ -22,9 +22,12 @@ class DeviceReading(FrozenValue, frozen=True):
 
     device: DeviceName
     position_mm: Three | None
-    """Position in device space; null for a device that reports only an orientation."""
+    """Position of the pen's tip in device space, mm; null for a device that reports only an orientation."""
     orientation_wxyz: Four | None
-    """``device_from_pen``; the pen's axes are right, down, forward."""
+    """Rotation from the axes of the pen (right, down, forward) to device space, as a unit quaternion (w, x, y, z).
+
+    Null for a device without an orientation.
+    """
     buttons: Buttons
 
 
@@ -120,7 +123,7 @@ class DeviceSource(FrozenValue, frozen=True):
     words: Words
     """Description of the state for the user."""
     rate_hz: float
-    """Samples per second."""
+    """Number of samples of the device per second."""
     num_bad: Count
     """Number of malformed messages from the device."""
 
@@ -173,7 +176,7 @@ class StartMarkedMessage(ServerMessage, frozen=True):
     """Report that the pen's button marked the start of a path that needs no airways (``arm_pen``, ``add_target``)."""
 
     lps: Three
-    """Marked point, LPS mm."""
+    """Point that the pen's button marked, LPS mm."""
 
 
 class Pen(ServerMessage, frozen=True):

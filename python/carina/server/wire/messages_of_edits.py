@@ -64,9 +64,9 @@ class EditPreviewMessage(ServerMessage, frozen=True):
     """Point for the command of the edit; null if nothing is under the cursor."""
     lines: tuple[EditLine, ...]
     length_mm: float | None
-    """Length of the lines in mm."""
+    """Length in mm of the previewed branch's lines."""
     doubtful_mm: float | None
-    """Length in mm along which the CT shows no airway."""
+    """Length in mm of the previewed path along which the CT shows no airway."""
     has_evidence: bool
     """Whether the command performs the edit at once; false if it needs a confirmation or is not possible."""
     problem: Words | None
@@ -87,7 +87,7 @@ class NoEvidence(ServerMessage, frozen=True):
     code: Literal["track.no-evidence"]
     message: Words
     lps: PointLps
-    """Requested end point."""
+    """End point of the path that the client requested, LPS mm."""
     line: EditLine
     length_mm: float
     doubtful_mm: float

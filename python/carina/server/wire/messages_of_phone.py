@@ -30,7 +30,7 @@ class PhoneSample(PhoneMessage, frozen=True):
     held: bool
     """Whether the tip turns with the phone."""
     advance: Wide
-    """-1 (back) to 1 (forward)."""
+    """Movement along the airway: -1 (full speed back) to 1 (full speed forward)."""
 
 
 class PhoneAct(PhoneMessage, frozen=True):

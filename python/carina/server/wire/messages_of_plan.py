@@ -94,7 +94,7 @@ class FailurePredictors(FrozenValue, frozen=True):
     bifurcation_deg: float | None
     """Angle in degrees between the axes of the tip's branch and of its parent; null in the first branch of the tree."""
     least_mm: float
-    """Least diameter in mm of the last section of the route."""
+    """Least diameter in mm of the lumen in the route's last section."""
     least_error_mm: float
     """Half-width in mm of the interval that should contain the true least diameter in 90 of 100 cases."""
     least_by: Literal["sections", "ball"]
@@ -158,9 +158,9 @@ class PairVerdict(Instruments, frozen=True, kw_only=True):
     """Verdict on a pair of a route and an instrument with a tool that passes its channel."""
 
     title: Words
-    """Title of the scope."""
+    """Title of the scope for display."""
     route: Words
-    """Key of the route (``RouteOffer.key``)."""
+    """Key of the route on which the scope was judged (``RouteOffer.key``)."""
     outcome: Words
     """One of *reaches*, *may reach*, *does not reach* and *cannot say*."""
     words: Words
@@ -212,9 +212,9 @@ class CArmPosition(FrozenValue, frozen=True):
     secondary_deg: float
     """Rotation of the detector towards the head (cranial, above 0) or the feet (caudal, below 0), degrees."""
     name: Words
-    """Position as text, such as *LAO 30\u00b0, cranial 10\u00b0*."""
+    """C-arm position by its angles, such as *LAO 30\u00b0, cranial 10\u00b0*."""
     words: Words
-    """Position and figures as text."""
+    """C-arm position, with the clearances of target and tip and the tilt of the last branch, as text."""
 
 
 class CArmPositions(FrozenValue, frozen=True):
@@ -237,9 +237,9 @@ class TargetPlan(FrozenValue, frozen=True):
     where: Words | None
     """Region of the target."""
     long_mm: float
-    """Long diameter in mm."""
+    """Longest diameter of the target in mm."""
     num_aims: Count
-    """Number of points in the target at which the needle may be aimed."""
+    """Number of alternative points in the target at which the needle may be aimed."""
     surface: TargetSurface
     options: PlanOptions
     moved_mm: float | None
@@ -361,10 +361,10 @@ class VesselLine(FrozenValue, frozen=True):
     """A branch of a vessel, for the view from outside."""
 
     points_lps: PointsLps
-    """Centreline, from the wide end."""
+    """Centreline of the vessel from its wide end."""
     diameter_mm: float
     sure: bool
-    """Whether the vessel is clearly above the noise."""
+    """Whether the vessel is clearly brighter than the noise of the CT."""
 
 
 class Station(FrozenValue, frozen=True):
@@ -424,13 +424,15 @@ class Plans(ServerMessage, frozen=True):
     dicom_problem: Words | None = None
     """Reason why the plan cannot be exported as DICOM; null if it can."""
     pairs: tuple[RoutePair, ...] = ()
-    """Verdicts on the best routes with all instruments for the target of the chosen route, the best pair first."""
+    """Verdicts on all pairs of an instrument and one of the best routes to the chosen target, the best pair first."""
     pairs_standing: Making = "unwanted"
+    """Whether the verdicts in `pairs` are complete, are being computed, or are missing, and why."""
     available: tuple[Identifier, ...] | None = None
     """Names of the scopes that are available here; null: all of the library."""
     carm: CArmPositions | None = None
     """Positions of a C-arm for the chosen route; null while they are not known."""
     carm_standing: Making = "unwanted"
+    """Whether the positions in `carm` are complete, are being computed, or are missing, and why."""
     comparison: TargetComparison | None = None
     """Comparison of the targets; null in a case with fewer than two targets."""
     station_note: Words = ""

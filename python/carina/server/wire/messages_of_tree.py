@@ -61,10 +61,10 @@ class BranchMeasuresSummary(FrozenValue, frozen=True):
     by_earlier_method: bool
     """Whether an earlier version measured the branch, with a method that overestimates small diameters."""
     lumen_mm: float | None
-    """Median diameter of the lumen."""
+    """Median of the diameters that were measured along the branch, mm; null if the lumen could not be measured."""
     lumen_error_mm: float | None
     min_lumen_mm: float | None
-    """Diameter at the narrowest position."""
+    """Diameter of the lumen at the branch's narrowest position, mm; null if it could not be measured."""
     min_lumen_error_mm: float | None
     min_at_mm: float | None
     """Narrowest position, in mm along the branch."""
@@ -135,7 +135,7 @@ class LivePathMessage(ServerMessage, frozen=True):
     """Points of the path from the root to the end; empty if there is no path."""
     length_mm: float | None
     min_diameter_mm: float | None
-    """Smallest diameter in mm of the lumen along the path."""
+    """Smallest diameter in mm of the lumen along the requested path."""
     confidence: Part | None
     snapped_mm: float | None
     """Distance in mm of the requested point from the lumen."""
@@ -158,9 +158,9 @@ class BranchProfile(FrozenValue, frozen=True):
     """Diameter in mm of the circle with the area of the cross-section."""
     lumen_error_mm: MaybeNumbers
     min_mm: MaybeNumbers
-    """Smallest diameter of the cross-section in mm."""
+    """Smallest width in mm of each cross-section through its centre."""
     max_mm: MaybeNumbers
-    """Largest diameter of the cross-section in mm."""
+    """Largest width in mm of each cross-section through its centre."""
     wall_mm: MaybeNumbers
     at_junction: tuple[bool, ...]
     """Whether the cross-section cuts a fork or the edge of the scan and therefore gives no airway diameter."""

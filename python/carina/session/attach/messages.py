@@ -36,7 +36,7 @@ class Settle(JoinMessage, frozen=True):
 
     settle_id: Count
     all_jobs: bool = False
-    """Whether to wait also for jobs that other programs and windows have started."""
+    """Whether to wait also for jobs that other programs and windows of the session have started."""
 
 
 class Joined(ToJoinMessage, frozen=True):

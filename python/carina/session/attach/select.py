@@ -29,7 +29,7 @@ class ProgramCase(Protocol):
         """Reason why the case cannot be saved to its file; None if it can."""
 
     def do(self, command: Command) -> None:
-        """Run a command, and wait for its jobs."""
+        """Run a command in the session that owns the case, and wait for the command's jobs."""
 
     def save(self, path: str | Path | None, *, replace: bool) -> Path:
         """Write the case to one file, and return the path."""

@@ -35,18 +35,18 @@ class ListedCase:
     used_s: float
     """Time of the last use in seconds since 1970; the start of the day if only the date is known."""
     num_changes: int | None = None
-    """Number of changes; None if only the path of the CT is stored."""
+    """Number of changes stored with the case; None if only the path of its CT is stored."""
     num_nodules: int | None = None
     """Number of targets with a size; None if it is not known."""
     num_bytes: int = 0
     opens: bool = True
-    """Whether the CT of the case is available."""
+    """Whether the CT of the case is available, so that the case can be opened."""
     scanned_on: str | None = None
-    """ISO date of the scan."""
+    """ISO date on which the CT was scanned; None if it is unknown."""
     pictured_s: float | None = None
     begun_s: float | None = None
     named: bool = False
-    """Whether the user has named the case."""
+    """Whether the user has given the case a name."""
 
 
 @one_line

@@ -302,7 +302,7 @@ class Cached(Generic[Inputs, Value]):
         return f"Cached({'nothing' if self._had is None else type(self._had[1]).__name__})"
 
     def of(self, inputs: Inputs) -> Value:
-        """Return the value of these inputs, from the cache or newly computed."""
+        """Return the value for given inputs, from the cache or newly computed."""
         if self._had is None or not self._same(inputs, self._had[0]):
             self._had = (inputs, self._make(inputs))
         return self._had[1]

@@ -29,7 +29,7 @@ ReachInputs = tuple[Any, str, str]
 @one_line
 @dataclass(frozen=True, slots=True)
 class LungsInfo:
-    """State of the maps of the lungs around the targets."""
+    """State of the maps of vessels, fissures and lobes in the lungs around the targets."""
 
     lungs: LungMap | None
     """Map of the lungs with the structures computed so far; None if none is available."""

@@ -60,7 +60,7 @@ class PlanTask(NamedTuple):
     aims: tuple[tuple[float, float, float], ...]
     options: PlanOptions
     confirmed: tuple[str, ...]
-    """Codes of the confirmed doubts."""
+    """Codes of the target's doubts that the user has confirmed."""
     clicked_lps: tuple[float, float, float] | None
     """Clicked point, LPS mm, of a segmented boundary, which may be an airway's wall; None for another boundary."""
 
@@ -142,7 +142,7 @@ PlanInputs = tuple[Any, ...]
 VerdictInputs = tuple[Any, ...]
 """Inputs of the verdicts: plan, number of a route in the plan (from 1), airway wall, and plan options."""
 PairInputs = tuple[Any, ...]
-"""Inputs of the verdicts on pairs: plan, airway wall, and plan options."""
+"""Inputs of the verdicts on all pairs of an instrument and a route: plan, airway wall, and plan options."""
 TurnInputs = tuple[Any, ...]
 """Inputs of the list of turns: plan, number of a route in the plan (from 1), and plan options."""
 CArmInputs = tuple[Any, ...]
@@ -197,7 +197,7 @@ class EarlyVerdicts:
         return add
 
     def forget(self) -> None:
-        """Delete the collected verdicts."""
+        """Delete the verdicts that were collected so far."""
         self._found = None
 
 
@@ -342,7 +342,7 @@ class CasePlanning:
         return self._available
 
     def pairs_standing(self) -> Standing:
-        """Return the status of the job that computes the verdicts on pairs."""
+        """Return the state of the job that computes the verdicts on all pairs of an instrument and a route."""
         return self._pairs.standing(self._pair_inputs())
 
     def turns(self) -> TurnList | None:

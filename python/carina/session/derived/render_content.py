@@ -80,7 +80,7 @@ class ShownContent:
 
     @property
     def has_lumen(self) -> bool:
-        """Whether the renderer shows a lumen."""
+        """Whether the renderer shows a wall round an airway lumen."""
         return self._given.lumen_zyx is not None
 
     @property

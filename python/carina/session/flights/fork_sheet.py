@@ -17,9 +17,9 @@ from carina.track import Airways
 from carina.volume import Volume, badges_of
 
 SIDE_PX = 384
-"""Width and height of each picture of a contact sheet."""
+"""Width and height in pixels of each picture of a contact sheet."""
 TURNS_SHARE = 0.3
-"""Share of the work that the search of the openings takes."""
+"""Share of the progress bar that the search of the openings takes; rendering takes the rest."""
 
 NOT_IN_AIRWAYS = "this path was not searched in the airways; forks are shown for routes in the lumen"
 

@@ -1,4 +1,4 @@
-"""Commands that record a flight."""
+"""Commands that start and stop the recording of a flight."""
 
 from __future__ import annotations
 

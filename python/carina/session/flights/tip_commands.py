@@ -17,7 +17,7 @@ from carina.session.open_case.start_pose import pose_before_place
 
 
 def place_pose(pose: Pose) -> c.PlacePose:
-    """Return the command that places the tip at a pose."""
+    """Return the command that moves the tip to a pose."""
     return c.PlacePose(tuple(float(v) for v in pose.lps_from_camera.ravel()))
 
 

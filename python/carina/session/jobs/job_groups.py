@@ -43,7 +43,7 @@ class JobGroup:
             _current.reset(token)
 
     def job_began(self) -> None:
-        """Count a started job."""
+        """Count one more running job of the group."""
         with self._changed:
             self._num_running += 1
 

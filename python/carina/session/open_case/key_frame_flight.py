@@ -25,7 +25,7 @@ class KeyFlight:
 
 
 def key_flight(volume: Volume, keys: KeyFrames, airways: Airways | None) -> KeyFlight:
-    """Compute the flight through all key frames."""
+    """Compute the camera flight through all key frames of a case."""
     if len(keys.frames) < 2:
         return KeyFlight()
     try:

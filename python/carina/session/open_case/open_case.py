@@ -86,9 +86,9 @@ class LastMove:
     """*hand* is a user at mouse or keyboard; *key_frames* is the flight through the key frames; *flight* is a recorded
     flight."""
     key_frames_s: float | None = None
-    """Time of the tip in the flight through the key frames, in s."""
+    """Time in s of the tip's position in the flight through the key frames; None if the tip is not on this flight."""
     flight: FlightPlace | None = None
-    """Position of the tip in a recorded flight."""
+    """Recorded flight that is being replayed and the time in it; None if no flight is being replayed."""
     person_moved: bool = False
     """Whether a user has ever moved the tip; a finished airway search then does not move the tip to the root."""
 
@@ -178,7 +178,7 @@ class OpenCase:
     """The route whose path was last passed to the pilot."""
     pending_mask: PendingMask | None = None
     armed_pen: ArmPen = field(default_factory=lambda: ArmPen(None))
-    """Kind of point that the button of the pen marks."""
+    """Kind of point (root, start, target) that the pen's first button marks; None lets it change the control."""
     begun_s: float = 0.0
     """Session time in s of the first work on the case; below 0 for a stored case that was begun earlier."""
     numbers: dict[str, int] = field(default_factory=dict)

@@ -23,7 +23,7 @@ Subscribe = Callable[[Callable[[Event], None]], Callable[[], None]]
 """Adds a listener to a session, and returns the function that removes the listener."""
 
 SHOWN_LABELS = 3
-"""Number of the latest changes that a message names."""
+"""Number of the latest unsaved changes that the message at closing lists."""
 MAX_LABEL_CHARS = 80
 
 
@@ -67,7 +67,7 @@ class UnsavedWork:
     saved_path: Path | None
     """Path of the live case file with the last saved state; None if no state was saved."""
     num_saved: int
-    """Number of changes in the live case file."""
+    """Number of changes of the case that the live case file contains."""
     copy_path: Path | None = None
     """Path of the named file of the case, whose state may be older; None without a named file."""
 

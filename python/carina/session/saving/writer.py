@@ -137,12 +137,12 @@ class CaseSaver:
         self._elsewhere: _WorkInNamedFileOnly | None = None
         """The newest work in a named file while the disk of the live file refuses it."""
         self._is_copy_current = False
-        """Whether no change was reported since the named file was written from memory."""
+        """Whether the named file was written from memory after the last reported change."""
         self._busy: object = None
         """Object that identifies the write in progress; None between writes."""
         self._is_slow = False
         self._saved = None if file is None else moment_of(case)
-        """State of the case in the live file."""
+        """State of the case that the live file contains."""
         self._num_begun = self._num_written = self._num_failed = 0
         """Counters of writes of the live file: number of the last begun, the last finished and the last failed write.
         """
@@ -169,7 +169,7 @@ class CaseSaver:
         self._copier: threading.Thread | None = None
 
     def start(self) -> None:
-        """Start the threads, once this case is the current case."""
+        """Start the thread that saves the case; call it when the case has become the session's current case."""
         with self._wake:
             self._plan_copy(0.0 if not self._is_named_checked else COPY_EVERY_S)
         threading.Thread(target=self._run, name="carina-saving", daemon=True).start()
@@ -254,7 +254,7 @@ class CaseSaver:
 
     @property
     def has_conflict(self) -> bool:
-        """Whether the named file has content that this window did not write."""
+        """Whether the named file has content that this window did not write, so that the user must decide."""
         return self.info.copy_conflict is not None
 
     def unsaved(self) -> UnsavedWork | None:

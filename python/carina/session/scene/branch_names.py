@@ -1,4 +1,4 @@
-"""Names of branches in saved pictures: which names a view shows, and where."""
+"""Selection and positions of the branch names in a saved picture of a view."""
 
 from __future__ import annotations
 

@@ -38,7 +38,7 @@ class PictureState:
 
     @property
     def operator(self) -> Literal["head", "facing"]:
-        """Position of the operator."""
+        """Position of the operator: at the patient's head, or facing the patient."""
         return self.document.look.operator
 
     @property

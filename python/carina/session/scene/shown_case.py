@@ -35,7 +35,7 @@ class SessionRenderer(Protocol):
         """Return the first wall under a pixel of an airway view."""
 
     def set_transfer(self, transfer: TransferFunction) -> None:
-        """Set the transfer function with which the volume is shown."""
+        """Set the transfer function (colour and opacity by CT value) that renders the volume in all 3D views."""
 
     def set_lumen(self, lumen_zyx: NDArray[np.uint8] | None, tree: AirwayTree | None = None) -> None:
         """Set the airway lumen for the wall and the outside view, and its tree for anatomical annotations."""

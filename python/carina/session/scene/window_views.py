@@ -17,7 +17,7 @@ class Sights:
     _of_windows: dict[int, Sight] = field(default_factory=dict)
 
     def begin(self, window: int) -> None:
-        """Add a window, which starts with the latest sight."""
+        """Add a window; its display settings start as those of the window that was used last."""
         self._of_windows[window] = self.latest
 
     def end(self, window: int) -> None:

@@ -56,7 +56,7 @@ class FlightPlace(FrozenValue, frozen=True):
 
     number: FlightNumber
     time_s: float
-    """Time in s from the start of the flight."""
+    """Time in s of the replay, from the start of the flight."""
 
 
 @one_line
@@ -103,7 +103,7 @@ class MaskQuestion(FrozenValue, frozen=True):
     """Question to the user about an imported mask before it can define the airways; answered by ``answer_mask``."""
 
     title: Words
-    """Name of the file."""
+    """Name of the imported file that contains the mask."""
     problem: Literal["label", "grid"]
     """``label``: the mask contains several structures. ``grid``: its grid differs from the grid of the scan."""
     labels: tuple[MaskLabel, ...] = ()
@@ -124,9 +124,9 @@ class SavingInfo(FrozenValue, frozen=True):
     keeps: bool = False
     """Whether the case is stored; False for a case that cannot be found again, or if nothing is stored."""
     saved_s: float | None = None
-    """Time of the last write."""
+    """Time of the last write in seconds since 1970; null if nothing was written."""
     begun_s: float | None = None
-    """Time when the case was begun."""
+    """Time when the case was begun, in seconds since 1970; null without a case file."""
     problem: Words | None = None
     """Reason why nothing can be written at present; None if writing works."""
     copied_s: float | None = None
@@ -148,7 +148,7 @@ class SavingInfo(FrozenValue, frozen=True):
     continued_s: float | None = None
     """Time of the last use before a stored case was opened again; None for a new case."""
     continued_changes: Annotated[int, msgspec.Meta(ge=0, le=2**31)] = 0
-    """Number of changes of a stored case when it was opened again."""
+    """Number of stored changes with which a case was opened again, for a message."""
 
     def with_(self, **values: Any) -> SavingInfo:
         """Return a copy with other values in some fields."""
@@ -173,7 +173,7 @@ class FlightInfo(FrozenValue, frozen=True):
     begun_s: float | None
     """Start of the recording, in seconds since 1970."""
     length_s: float
-    """Length in s; 0 while the flight is being recorded."""
+    """Duration of the recording in s; 0 while the flight is being recorded."""
     is_expert: bool
     """Whether the flight is marked as the expert's, with which other flights are compared."""
     state: Literal["recording", "complete", "cut-off"]
@@ -201,7 +201,7 @@ class Snapshot:
     steps: tuple[Step[Document], ...] = ()
     """All steps of the history, those that are undone included."""
     position: int = 0
-    """Number of steps that are not undone."""
+    """Number of changes in the history that are not undone."""
     transfer_presets: tuple[str, ...] = ()
     measures: TreeMeasures | None = None
     """Measurements of the document's airways; None until they are available."""
@@ -228,7 +228,7 @@ class PointedPath:
 @one_line
 @dataclass(frozen=True, slots=True)
 class DevicesInfo:
-    """Input devices, and the way in which they move the tip."""
+    """Connected input devices, and the way in which they move the tip."""
 
     control: Literal["absolute", "relative", "path"]
     controls: DeviceControls
@@ -244,7 +244,7 @@ class ShownKeyFrame(FrozenValue, frozen=True):
     own_name: bool
     """Whether the user gave the name."""
     branch_id: BranchId | None
-    """Branch that contains the pose."""
+    """Branch whose lumen contains the key frame's pose; null outside the airways."""
     speed_mm_s: float | None
     """Speed of the leg to this key frame; null means the speed of the whole flight."""
     time_s: float
@@ -252,7 +252,7 @@ class ShownKeyFrame(FrozenValue, frozen=True):
     leg_mm: float | None
     """Length of the leg to this key frame; null for the first key frame and without a flight."""
     through_airways: bool
-    """Whether the leg to this key frame follows the airways."""
+    """Whether the flight from the previous key frame to this one follows the airways."""
 
 
 class KeyFramesInfo(KeyFrameFlying, frozen=True):

@@ -17,7 +17,7 @@ class TaskInfo(FrozenValue, frozen=True):
     title: Words
     level: Literal["beginner", "intermediate", "advanced"]
     time_limit_s: float | None
-    """Time after which an attempt ends; null for no limit."""
+    """Time in s after which an attempt ends; null for no limit."""
     names_shown: bool
     """Whether the window shows the names of branches during an attempt."""
     tree_shown: bool
@@ -38,7 +38,7 @@ class RunningTask(FrozenValue, frozen=True):
     flight: FlightNumber
     """Number of the flight that is being recorded."""
     elapsed_s: float
-    """Time since the beginning of the attempt."""
+    """Time in s since the attempt began, without pauses."""
     num_steps: Count
     steps_done: tuple[Words, ...] = ()
     next_step: Words | None = None
@@ -59,7 +59,7 @@ class ScoreMoment(FrozenValue, frozen=True):
     """A moment of a scored flight, to be replayed."""
 
     time_s: float
-    """Time from the start of the flight."""
+    """Time of the event in s, from the start of the flight."""
     words: Words
 
 
@@ -71,11 +71,11 @@ class PublishedScores(FrozenValue, frozen=True):
     num_progressions: Count
     """Structured progress: number of moves to the next segment in ascending order, of 18."""
     time_s: float
-    """Procedure time."""
+    """Procedure time (PT) in s: from the start of the clock to the end of the attempt."""
     time_per_segment_s: float | None
-    """Mean intersegmental time; null if no segment was seen."""
+    """Mean intersegmental time (MIT) in s: procedure time by number of seen segments; null if none was seen."""
     num_revisited: Count
-    """Segments revisited."""
+    """Segments revisited (SR): how many times the tip entered a segment that it had entered and left before."""
 
 
 class UnmarkedMeasures(FrozenValue, frozen=True):
@@ -106,7 +106,7 @@ class TimelineMark(FrozenValue, frozen=True):
     """Event on the timeline of a flight."""
 
     at_s: float
-    """Time from the start of the flight."""
+    """Time in s at which the segment was seen, from the start of the flight."""
     kind: Literal["seen", "contact", "wrong", "revisit"]
     name: Words
 
@@ -128,7 +128,7 @@ class FlightScore(FrozenValue, frozen=True):
     seen: tuple[Words, ...]
     """Segments seen, in the order in which they were seen."""
     not_seen: tuple[Words, ...]
-    """Other segments of the case."""
+    """Names of the case's segments that were not seen."""
     absent: tuple[Words, ...]
     """Segments of the published list that the case does not have."""
     doubts: tuple[Words, ...]
@@ -140,7 +140,7 @@ class FlightScore(FrozenValue, frozen=True):
     """Segments of the case, for the map of the tree."""
     timeline: tuple[TimelineMark, ...]
     clock_start_s: float
-    """Time at which the clock started, from the start of the flight."""
+    """Time in s from the start of the flight to the start of the clock for the procedure time."""
     clock_end_s: float
     comparison: tuple[Words, ...]
     """Differences from the expert's flight; empty before the comparison."""
@@ -181,10 +181,10 @@ class LearnerInfo(FrozenValue, frozen=True):
     """A learner of the course."""
 
     name: OwnName
-    """Pseudonym."""
+    """Pseudonym of the learner."""
     num_attempts: Count
     num_counted: Count
-    """Number of inspections that count in the verdict."""
+    """Number of the learner's inspections that count in the verdict on mastery."""
     mastery: bool | None
     """Whether mastery was reached; null with fewer than six attempts that count."""
     verdict: Words

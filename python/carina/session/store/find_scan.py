@@ -98,8 +98,8 @@ class CaseScans:
         dropped
             Whether the case file was dropped into a window, so that its relative path to the CT is not valid.
         progress
-            False, True or ``f(what, fraction)``. True, as None, shows a bar in a terminal or a notebook. The fraction
-            is None where it is unknown.
+            False, True, None or ``f(what, fraction)``. True and None show a progress bar in a terminal or a notebook;
+            False shows none. The fraction is None while the progress is unknown.
         cancel
             Called often; the work stops when it returns True.
 

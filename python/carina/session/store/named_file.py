@@ -108,7 +108,7 @@ class NamedFile:
 
     @property
     def is_locked(self) -> bool:
-        """Whether this window holds the lock of the file."""
+        """Whether this window holds the lock of the named file, so that no other window writes it."""
         return self._lock is not None
 
     def has_path(self, path: Path) -> bool:

@@ -85,7 +85,7 @@ class CaseRecord(FrozenValue, frozen=True):
     use_number: Count = 0
     """Number of the last use: each use of any case gets the next number, which a clock cannot set back."""
     num_changes: Count = 0
-    """Number of steps that are not undone."""
+    """Number of changes in the stored history that are not undone."""
     num_nodules: Count | None = None
     """Number of targets with a size; None in records of earlier versions, until the case is saved again."""
     alias: TitleText | None = None

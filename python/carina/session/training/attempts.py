@@ -54,9 +54,9 @@ if TYPE_CHECKING:
     from carina.session.core import SessionCore
 
 SAMPLE_S = 0.05
-"""Time between two samples of the tip."""
+"""Time in s between two samples of the tip's pose that the score of a running attempt uses."""
 SCORE_S = 1.0
-"""Time between two computations of the score of the running attempt."""
+"""Least time in s between two computations of the score of a running attempt."""
 PAUSE_SHARE = 10.0
 """Smallest ratio of the time between two scores of the running attempt to the time that a score takes."""
 ENTRY_MM = 5.0

@@ -8,7 +8,7 @@ from carina import commands as c
 from carina.errors import NoResultError, UsageError
 from carina.session.command_registry import CommandHandlers, does
 from carina.session.flights.recorded_flights import needed_flight, running_flight
-from carina.session.flights.verdict_drives import VerdictDriveHandlers
+from carina.session.flights.store_simulated_drive import VerdictDriveHandlers
 from carina.session.jobs.background_jobs import Job
 from carina.session.open_case.open_case import OpenCase
 from carina.session.training.attempts import TrainingHandlers

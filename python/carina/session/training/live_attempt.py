@@ -19,7 +19,7 @@ from carina.training.segments import branches_named
 from carina.training.task import landmarks_of
 
 MESSAGE_S = 3.0
-"""Time for which an event of the flight is shown."""
+"""Time in s for which the window shows an event of the flight, such as a contact with the wall."""
 WARNINGS = frozenset({"wrong-branch", "wrong-segment", "contact", "revisit"})
 """Kinds of events that report a fault."""
 
@@ -69,9 +69,9 @@ class LiveAttempt:
         self.ended = threading.Event()
         """Set when the attempt has ended."""
         self.scored_s = begun_s
-        """Time of the newest score on the session's clock."""
+        """Time of the latest computation of the score, on the session's clock."""
         self.pause_s = 0.0
-        """Smallest time from the newest score to the next one."""
+        """Least time in s from the latest computation of the score to the next one; it grows if scoring is slow."""
         self._score: Score | None = None
         self._score_before_s = self._newest_score_s = 0.0
         """Time of the score before the newest one, and of the newest one, since the beginning of the attempt."""
@@ -121,7 +121,7 @@ class LiveAttempt:
         return score is not None and score.result.completed and self.task.kind != "inspect"
 
     def sample(self, pose: Pose, now_s: float) -> None:
-        """Add the frames that are due with the present pose of the tip."""
+        """Add the samples since the last call, with the present pose of the tip."""
         num = math.floor(self.elapsed_s(now_s) * FRAME_HZ + 1e-6) + 1
         is_new = pose is not self._latest
         self._latest = pose
@@ -131,7 +131,7 @@ class LiveAttempt:
             is_new = False
 
     def update_score(self, now_s: float) -> None:
-        """Compute the score of the sampled frames."""
+        """Compute the score of the attempt from the frames that were sampled so far."""
         self.scored_s = now_s
         self._score_before_s, self._newest_score_s = self._newest_score_s, self.elapsed_s(now_s)
         poses, numbers = np.stack(self._poses), np.array(self._numbers)

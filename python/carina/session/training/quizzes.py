@@ -36,7 +36,7 @@ class _Quiz:
     questions: tuple[QuizQuestion, ...]
     answers: list[str] = field(default_factory=list)
     at: int = 0
-    """Index of the present question."""
+    """Index in ``questions`` of the question that the window shows."""
     sight: Sight = field(default_factory=Sight)
     """Sight before the quiz, whose crosshair and zoom are restored."""
 
@@ -130,12 +130,13 @@ class QuizHandlers(CommandHandlers):
 
     @does(c.AnswerQuiz)
     def answer(self, command: c.AnswerQuiz) -> None:
-        """Answer the present question.
+        """Store the user's answer to the current question of the quiz.
 
         Raises
         ------
         UsageError
-            ``training.quiz``: without a quiz, if the question is answered, or if the name is none of the choices.
+            ``training.quiz``: if no quiz is open, if the question was answered before, or if the name is not one of
+            the choices.
         """
         with self.core.lock:
             quiz = self._needed()

@@ -101,7 +101,7 @@ def branch_way(volume: Volume, airways: Airways, lps: Point | Sequence[float] | 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PlannedWay:
-    """Path of a branch that is about to be added to a draft of the tree."""
+    """Path of a branch that is about to be added to a modified copy (*draft*) of the tree."""
 
     points: Points
     """Points (n, 3) of the future centreline, LPS in mm; the first is the end of ``parent_id``."""
@@ -116,7 +116,7 @@ class PlannedWay:
 
     @property
     def doubtful_mm(self) -> float:
-        """Length of the doubtful segments of the path, mm."""
+        """Length of those segments of the path whose wall is doubtful, mm."""
         return float(np.linalg.norm(np.diff(self.points, axis=0), axis=1)[self.doubtful].sum())
 
 

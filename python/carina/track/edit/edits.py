@@ -155,8 +155,8 @@ def edit_airways(
         Whether to determine the anatomical names again. With False they stay unchanged, and :func:`name_edited`
         updates them later: in a tree of some hundred branches naming takes longer than the edit.
     progress
-        False, True or ``f(what, fraction)``. True, as None, shows a bar in a terminal or a notebook. The fraction is
-        None where it is unknown.
+        False, True, None or ``f(what, fraction)``. True and None show a progress bar in a terminal or a notebook; False
+        shows none. The fraction is None while the progress is unknown.
     cancel
         Function that is called often; the calculation stops when it returns True.
 
@@ -216,8 +216,8 @@ def rebuild_airways(
     edits
         Edits in order.
     progress
-        False, True or ``f(what, fraction)``. True, as None, shows a bar in a terminal or a notebook. The fraction is
-        None where it is unknown.
+        False, True, None or ``f(what, fraction)``. True and None show a progress bar in a terminal or a notebook; False
+        shows none. The fraction is None while the progress is unknown.
     cancel
         Function that is called often; the calculation stops when it returns True.
 

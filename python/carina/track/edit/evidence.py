@@ -35,11 +35,11 @@ Points = NDArray[np.float64]
 # Number of sides to which rays run from the middle of a section (values of the CT across a path).
 NUM_SIDES = 16
 RING_MM = 0.35
-"""Distance in mm between two samples of a ray across a path."""
+"""Distance in mm between two samples of a ray that is sent from the path across an airway's wall."""
 REACH_MM, FAR_MM = 3.2, 8.1
 """Lengths in mm of the rays that find the wall of a small airway, and that of a lobar bronchus."""
 OPEN_SIDES = 0.2
-"""Share of the 16 sides of a section that may have no wall."""
+"""Share of the 16 rays of a section that may meet no wall in an airway."""
 CLOSED_BUT = 1
 """Number of sides without a wall that a section may have and still count as closed."""
 BEND_MM = 3.0
@@ -62,7 +62,7 @@ TIP_ALLOWANCE = 20.0
 A thin wall between two airways side by side costs less than this; 1 mm through plain lung costs 25.
 """
 
-# Limits for the paths through plain lung with which a path is compared.
+# Number, and length in mm, of the paths through plain lung with which the evidence of a drawn path is compared.
 NUM_RUNS = 96
 RUN_MM = 10.0
 NEAREST_MM, FARTHEST_MM = 8.0, 25.0
@@ -302,6 +302,6 @@ def _even(points: Points) -> Points:
 
 
 def _fine(points: Points) -> Points:
-    """Return a line with three interpolated points between each pair."""
+    """Return a polyline with three interpolated points between each pair of its points."""
     share = np.linspace(0.0, 1.0, 4, endpoint=False)[:, None, None]
     return np.asarray((points[:-1] + share * (points[1:] - points[:-1])).reshape(-1, 3))

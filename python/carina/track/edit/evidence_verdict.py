@@ -18,7 +18,7 @@ Points = NDArray[np.float64]
 Values = NDArray[np.float64]
 
 STEP_MM = 0.5
-"""Distance in mm between two sections of a path."""
+"""Distance in mm between two cross-sections at which the evidence for a path is measured."""
 WINDOW_MM = 5.0
 SURE = 1.0
 """Gain from which a section counts as evident; evident sections at the start of a failed window still pass.
@@ -83,9 +83,9 @@ class Sections:
     """Measures of the sections across a path, one every half millimetre; values in the units of the volume."""
 
     at_mm: Values
-    """Distance (n,) of each section along the path, mm."""
+    """Distance (n,) of each section from the start of the path, mm."""
     own: Values
-    """Value (n,) in the middle of each section."""
+    """Voxel value (n,) in the middle of each section, smoothed."""
     rise: Values
     """Rise (n,) above the middle that four fifths of the sides of a section reach within 3 mm."""
     far_rise: Values
@@ -95,7 +95,7 @@ class Sections:
     far_closed: Values
     """Rise (n,) above the middle that all sides of a section but one reach within 8 mm."""
     around: Values
-    """Value (n,) of the lung farther out round each section."""
+    """Voxel value (n,) of the lung farther out round each section."""
     radius_mm: Values
     """Radius (n,) of each section, mm: median distance of the sides to half of their rise within 3 mm."""
     bend: Values
@@ -121,7 +121,7 @@ class PathStart:
     inside_mm: float
     """Length of the beginning of the path inside the lumen, mm; sections there contain both lumens and need no wall."""
     branch_radius_mm: float
-    """Radius of the branch that the path leaves, mm."""
+    """Radius of the branch from which the path starts, mm."""
     branch_direction: NDArray[np.float64]
     """Direction (3,) of the branch that the path leaves, from the root outwards, LPS."""
 

@@ -54,7 +54,7 @@ from carina.track.tree.airway_tree import AirwayTree, Branch
 NO_VOXELS = np.zeros((0, 3), dtype=np.uint16)
 SMOOTHING_ROUNDS = 3
 MIN_BEYOND_MM = 4.0
-"""Least length in mm of visible airway beyond a bridge."""
+"""Least length in mm of visible airway beyond an obstruction; with less, the edit refuses to bridge it."""
 MAX_TURN_DEG = 120.0
 """Largest angle in degrees between an airway before a bridge and its continuation beyond the bridge."""
 COVER_REACH_MM = 30.0
@@ -618,7 +618,7 @@ class EditSteps:
         )
 
     def _find_more(self, candidates: Voxels, kind: str) -> None:
-        """Add the branches of new lumen that are missing from the tree."""
+        """Search for branches in the new lumen that are missing from the tree, and add them."""
         if not len(candidates):
             return
         core = self.lumen.core

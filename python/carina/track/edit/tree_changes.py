@@ -80,11 +80,11 @@ class TreeDraft:
         return self._branches[branch_id]
 
     def __contains__(self, branch_id: object) -> bool:
-        """Return whether the draft has a branch with the given ID."""
+        """Return whether the modified tree has a branch with the given ID."""
         return branch_id in self._branches
 
     def ordered(self) -> list[Branch]:
-        """Return all branches of the draft, parents before their children, in the order of the parents' lists."""
+        """Return all branches of the modified tree, parents before children, in the order of the parents' lists."""
         found: list[Branch] = []
         waiting = [self.root_id]
         while waiting:
@@ -101,7 +101,7 @@ class TreeDraft:
         return found
 
     def change(self, branch_id: int, **values: object) -> Branch:
-        """Replace fields of a branch of the draft and return the new branch."""
+        """Replace fields of a branch of the modified tree, and return the new branch."""
         branch = dataclasses.replace(self._branches[branch_id], **values)  # type: ignore[arg-type]
         self._branches[branch_id] = branch
         return branch

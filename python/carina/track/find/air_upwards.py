@@ -34,7 +34,7 @@ BESIDE_MM = 3.2
 ROUND_MM = 2.5
 # Least area in mm2 of a tube's material (plastic and its radiopaque line) between air and air.
 SEPTUM_MM2 = 12.0
-# Least peak value in HU of a tube's material between air and air.
+# Least peak value in HU of the material between two areas of air that is a tube's wall and not tissue.
 SEPTUM_HU = 150.0
 # Number of sections with a tube's material in the air, from which the air counts as the lumen of a tube.
 IN_A_TUBE = 3
@@ -45,7 +45,7 @@ class AirSection:
     """Section of the air of trachea, larynx or throat in one slice."""
 
     k: int
-    """Index k of the slice."""
+    """Index k of the section's slice."""
     corner: tuple[int, int]
     """Indices (j, i) of the first voxel of the window that the masks cover."""
     air: NDArray[np.bool_]
@@ -69,7 +69,7 @@ class AirSection:
     noise_hu: float
     """Standard deviation of the section's air in HU, estimated from the median deviation."""
     peak: float
-    """Highest value in the section or close round the section, HU."""
+    """Highest voxel value in the section or close round it, HU; the wall of a tube is brighter than tissue."""
     leaves_in_front: bool
     """Whether the air continues in front of the section, outside the part that is followed."""
 
@@ -147,7 +147,7 @@ def follow_up(
     scale
         Conversion from HU to the values of the volume.
     air
-        Upper limit of air, in the numbers of the volume.
+        Largest voxel value that counts as air, in the unit of the volume (HU for a CT in HU).
     start
         Voxel (i, j, k) in the air of the trachea.
     stage

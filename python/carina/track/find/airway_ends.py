@@ -165,7 +165,7 @@ def _with_nearest_branch(tree: AirwayTree, place: Uncertainty) -> Uncertainty | 
 
 
 def _ends_at(branch: Branch, place: Uncertainty) -> bool:
-    """Return whether a branch ends at the filling of a place."""
+    """Return whether a branch ends at the place where mucus or another filling begins."""
     off_mm = float(np.linalg.norm(branch.tip_lps - np.array(place.lps)))
     return off_mm <= 0.5 * (place.length_mm or 0.0) + AT_END_MM
 

@@ -57,9 +57,9 @@ __all__ = ["Airways", "doubt_of_totals", "find_airways"]
 # Upper limits of the length in mm, the number of branches and the generations of a tree; CTs show 1 to 4 m of airways
 # in 100 to 600 branches.
 MAX_LENGTH_MM = 12_000.0
-# Largest number of branches of a plausible tree.
+# Number of branches above which a tree is rejected as a leak into the lung.
 MAX_BRANCHES = 2_500
-# Largest generation of a plausible tree.
+# Generation above which a tree is rejected as a leak into the lung.
 MAX_GENERATION = 40
 # Least total length in mm of the airways beyond a trachea that divides: main bronchi and lobar bronchi are longer.
 MIN_BEYOND_MM = 150.0
@@ -143,8 +143,8 @@ def find_airways(
     notes
         Texts that are put before the notes of the search, such as the origin of ``lumen_zyx``.
     progress
-        False, True or ``f(what, fraction)``. True, as None, shows a bar in a terminal or a notebook. The fraction is
-        None where it is unknown.
+        False, True, None or ``f(what, fraction)``. True and None show a progress bar in a terminal or a notebook; False
+        shows none. The fraction is None while the progress is unknown.
     cancel
         Function that is called often; the search stops when it returns True.
 

@@ -41,7 +41,7 @@ The limit applies to branches with more than ``SOME_IN_REGION`` of their points 
 continue beyond the region by more than their length in the region.
 """
 MAX_CONFIDENCE = 0.8
-"""Highest confidence of a branch in metal streaks or beside a breathing step."""
+"""Confidence to which a branch in metal streaks or beside a breathing step is limited."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -27,7 +27,7 @@ NUM_BESIDE = 2
 MIN_DROP = 0.22
 # Least ratio of a drop to the fourth largest drop of the scan, because streaks make many slices dissimilar.
 MIN_RATIO = 2.5
-# Largest number of breathing steps in a scan.
+# Largest number of breathing steps that are looked for in a scan; all other height differences give the usual value.
 MAX_STEPS = 3
 
 

@@ -22,7 +22,7 @@ MIN_SIZE = 0.25
 LONGEST_TRACHEA_MM, USUAL_TRACHEA_MM = 150.0, 110.0
 # Usual diameter of an adult's trachea, mm.
 USUAL_DIAMETER_MM = 17.3
-# Largest factor by which a wide trachea may be longer than usual.
+# Largest factor by which a trachea that is wider than usual is expected to be longer than usual.
 MAX_LONGER = 1.2
 # Reduction of the chest's size over which the confidence of the thinnest airways falls to UNPROVEN_THREAD; this
 # confidence was measured in adults only.

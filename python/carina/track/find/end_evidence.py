@@ -17,14 +17,14 @@ Floats = NDArray[np.float64]
 
 # Distances in mm from the tip of a branch between which its direction is measured, before the blunt end.
 BLUNT_MM, AXIS_MM = 2.0, 10.0
-# Distance in mm between samples on a line beyond a tip.
+# Distance in mm between the samples on a line from a tip onwards.
 STEP_MM = 0.5
-# Length in mm of the sampled line beyond a tip.
+# Length in mm of the line from a tip onwards on which wall, lung and tissue are searched.
 FARTHEST_MM = 20.0
 BEYOND_END_MM = 3.0
 """Largest distance in mm from the last centreline point, beyond the radius, to the wall that closes an end."""
 
-# Range in HU of the soft tissue that fills a bronchus.
+# Range in HU of the soft tissue, such as mucus or tumour, that fills a bronchus beyond its visible end.
 TISSUE_HU = (-150.0, 200.0)
 BLUR_MM = 3.0
 """Largest distance in mm, caused by blur, between the end of the air and the first sample of soft tissue beyond it."""
@@ -74,7 +74,7 @@ class EndEvidence:
     length_mm: float
     """Length of the visible soft tissue in mm for kind ``tissue``; 0 for ``closed``."""
     has_clips: bool
-    """Whether surgical clips are near the end of the airway."""
+    """Whether surgical clips are near the airway's end, which then is a stump after an operation."""
 
 
 def find_end_evidence(volume: Volume, look: CrossSampler, branch: Branch, width_mm: float) -> EndEvidence | None:

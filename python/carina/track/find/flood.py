@@ -26,7 +26,7 @@ CLOSED_RADIUS_MM = 10.0
 # Volume in mm3 of a lumen above which, together with its share of lung and lumen, the lumen contains lung; trachea and
 # bronchi have 40 to 100 ml.
 MAX_LUMEN_MM3 = 150_000.0
-# Largest share of the lung that a lumen without leaks can fill.
+# Share of the lung above which a flooded lumen counts as a leak.
 MAX_LUNG_SHARE = 0.1
 # Sigmas in mm of the smoothed copies in which a flood that leaked is repeated.
 SMOOTHED_MM = (0.7, 1.0, 1.5)
@@ -69,7 +69,7 @@ def flood(
     seeds
         Voxels (i, j, k) in the air of the trachea.
     end
-        Value at which the lumen ends, in the numbers of the volume.
+        Voxel value at which the lumen ends, in the unit of the volume (HU for a CT in HU).
     is_default
         Whether ``end`` is the default rather than a choice of the user. A flood that fills the lung is then repeated in
         more and more smoothed copies, because noise opens walls (docs/decisions/0113).

@@ -25,7 +25,7 @@ STOPPED = "track.search-stopped"
 MIN_RISE_HU = 15.0
 # Longest gap in mm in the wall of a followed airway; mucus or heart motion may cause a gap.
 GAP_MM = 2.0
-# Shortest branch in mm that is followed.
+# Length in mm of an extension beyond the flood's end below which the extension is dropped, in thin slices.
 MIN_FOLLOWED_MM = 2.0
 # Slice thickness in mm up to which the shortest followed branch has :data:`MIN_FOLLOWED_MM`.
 THIN_SLICE_MM = 1.0
@@ -67,7 +67,7 @@ THIN_BRIGHTEST_HU = -400.0
 THIN_MIN_WALL_HU = -700.0
 # Least depth in HU of the dark middle, averaged over 5 mm; no such depth occurs in lung.
 THIN_MIN_DIP_HU = 22.0
-# Least mean depth in HU of the dark middle over an accepted path.
+# Mean depth in HU of a path's dark middle below its sides, below which a path of a thin airway is dropped.
 THIN_ACCEPTED_DIP_HU = 20.0
 # Largest sigma in mm of the blur of a CT, without the blur by its voxels.
 THIN_BLUR_MM = 0.85
@@ -123,7 +123,7 @@ def follow_small_airways(
     stage
         Receives progress and cancels the search.
     air, noise
-        Value of air in the trachea and its standard deviation, in the numbers of the volume.
+        Mean and standard deviation of the voxel values of air in the trachea.
     size
         Size of the chest relative to an adult one, above 0 and at most 1
         (:func:`carina.track.find.chest_size.search_size`). Every length of the search is multiplied by ``size``, the

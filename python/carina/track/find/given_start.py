@@ -21,7 +21,7 @@ from carina.volume.model import Volume
 ENCLOSED_HU = (-800.0, -900.0, -950.0)
 # Largest area in mm2 of an airway's section in a slice: a main bronchus that runs along the slice.
 MAX_SECTION_MM2 = 1500.0
-# Largest distance in mm from the middle of the trachea to its wall.
+# Distance in mm from the trachea's middle, in its slice, above which a point of the lumen is not in the trachea.
 IN_TRACHEA_MM = 18.0
 # Distance in mm above the upper end of the found trachea beyond which a given point may be in the true trachea.
 ABOVE_MM = 5.0

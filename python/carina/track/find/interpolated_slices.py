@@ -12,7 +12,7 @@ from carina.volume.model import Note, Volume
 INTERPOLATED = "track.interpolated-slices"
 """Code of the permanent note on airways in interpolated slices."""
 MAX_CONFIDENCE = 0.5
-"""Highest confidence of a branch whose points are mostly in interpolated slices."""
+"""Limit of the confidence of a branch that is mostly in interpolated slices, in which nothing was measured."""
 _MOSTLY = 0.5
 _MAX_NAMED = 6
 

@@ -28,15 +28,15 @@ SOFT_HU = 3.0
 SOFTEST_HU = -8.0
 # Largest factor by which a kernel in use enhances fine detail; a larger estimate comes from noise.
 MAX_RAISED = 3.2
-# Number of iterations in which the amount of softening is determined.
+# Number of iterations (trial softening, then measurement) that determine the amount of softening.
 STEPS = 5
 # Thickness in mm of the slab in the middle of the volume from which the amount of softening is determined.
 SLAB_MM = 40.0
-# Least number of slices of that slab.
+# Least number of slices of the slab in which the amount of softening is measured.
 MIN_SLAB = 24
-# Lowest value in HU of most files.
+# Lowest value in HU that most files store; darker values of a sharp kernel are clipped to it.
 FLOOR_HU = -1024.0
-# Value in HU of air.
+# Voxel value of air in HU.
 AIR_HU = -1000.0
 # Least rise in HU from a clipped lumen to its wall; a rim beside tissue has lung on its other sides.
 WALL_RISE_HU = 250.0
@@ -114,7 +114,7 @@ class SoftenedCt:
         scale
             Conversion from HU to the values of the volume.
         noise
-            Standard deviation of the air in the trachea of ``volume``, in the numbers of the volume.
+            Standard deviation of the voxel values of air in the trachea of ``volume``.
         """
         if self._values is None:
             return

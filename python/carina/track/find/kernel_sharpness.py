@@ -10,7 +10,7 @@ from carina.track.intensity_levels import AirScale
 from carina.volume.model import Volume
 
 TISSUE_HU, EDGE_HU = -300.0, -500.0
-# Distance in mm from an edge within which the undershoot is measured.
+# Distance in mm from an edge within which the undershoot of a sharp reconstruction kernel is measured.
 RIM_MM = 2.3
 # Distances in mm from an edge between which undisturbed lung is measured.
 LUNG_FROM_MM, LUNG_TO_MM = 4.0, 7.0
@@ -18,7 +18,7 @@ LUNG_FROM_MM, LUNG_TO_MM = 4.0, 7.0
 MAX_VOXEL_MM = 1.6
 # Approximate number of voxels per axis in which edges are searched.
 NUM_VOXELS = 400_000
-# Least number of edges for a measurement.
+# Number of edges below which the sharpness of the kernel is not measured.
 MIN_EDGES = 150
 
 

@@ -22,11 +22,11 @@ NUM_SIDES = 16
 NUM_STEPS = 14
 # Distance from the centreline, in radii, within which the middle of the lumen is measured.
 MIDDLE = 0.35
-# Distance in mm beyond the radius up to which the wall is searched.
+# Distance in mm beyond a branch's radius up to which a wall is searched.
 WALL_REACH_MM = 2.0
 # Least rise from the lumen to a wall, in standard deviations of the noise and in HU.
 RISE_SIGMA, MIN_RISE_HU = 4.0, 80.0
-# Least share of the sides on which the wall must be visible.
+# Share of a section's sides with a visible wall, below which the section counts as without a wall.
 MIN_WALLED = 0.6
 # Value in HU (half-way between air and soft tissue) above which a voxel is not air.
 AIR_HU = -500.0

@@ -25,7 +25,7 @@ Voxels at the highest value of such a file may be metal if that value is at leas
 """
 MIN_METAL_MM2 = 0.4
 JOINED_MM = 4.0
-"""Largest distance in mm between voxels of metal that belong to one piece."""
+"""Size in mm of the grid cells that join voxels of metal: voxels in adjacent cells are one piece of metal."""
 MAX_PIECES = 5
 """Largest number of pieces of metal that are examined per slice, the largest first."""
 

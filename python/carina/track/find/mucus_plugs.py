@@ -39,15 +39,15 @@ EDGE_MM = 2.0
 """Least distance in mm of an examined island from the edge of the scan."""
 
 FARTHEST_MM = 45.0
-"""Largest length in mm of the gap between an island and the airways."""
+"""Length in mm of a gap above which an island of air is not connected to the airways across a plug."""
 MAX_OFF_DEG = 60.0
 """Largest angle in degrees between the axis of an island's end and the gap."""
 STEP_MM = 0.4
-"""Distance in mm between samples along a gap."""
+"""Distance in mm between samples along the gap between an island of air and the airways."""
 MIN_GAP_MM = 2.5
-"""Least length in mm of a filled gap."""
+"""Length in mm of tissue in a gap below which the gap does not count as a mucus plug."""
 MIN_GAP_VOX = 2.0
-"""Least length in voxels of a filled gap."""
+"""Length in voxels of tissue in a gap below which the gap does not count as a mucus plug."""
 MAX_DARK = 0.25
 """Largest share of the gap between an island and the airways that may be as dark as lung."""
 MAX_LOOSE_MM = 2.5
@@ -62,7 +62,7 @@ UNFILLED = 4.0
 USUAL_WALL_MM = 1.2
 """Thickness in mm of the wall of a filled bronchus if it cannot be measured beyond the filling."""
 CROSS = (0.25, 0.4, 0.5, 0.6, 0.75)
-"""Positions of the sections across the filling, as fractions of its length."""
+"""Positions of the examined cross-sections along a filling, as fractions of its length."""
 MAX_OUTER_MM = 9.0
 """Largest distance in mm from the axis of a filled bronchus at which its border is searched."""
 MIN_AIR = 0.15
@@ -114,7 +114,7 @@ def find_filled(
     tree, lumen_zyx
         Airways that were found in the CT.
     noise
-        Standard deviation of the values in air, in the numbers of the volume.
+        Standard deviation of the voxel values of air in the trachea.
     slice_mm
         Effective thickness of the slices of the CT, also if ``volume`` has divided slices.
     cancel

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from carina.volume.model import Volume
 
 REACH_MM = 30.0
-"""Largest distance in mm from the trachea at which padding is searched."""
+"""Distance in mm from the trachea beyond which padding (voxels without data) is not searched."""
 BLOCK_KJI = (3, 5, 5)
 """Size in voxels (k, j, i) of the smallest block of one value that counts as padding; noise produces no such block."""
 MIN_MM3 = 60_000.0

@@ -120,7 +120,7 @@ def _smoothed(values: Floats) -> Floats:
 
 
 def _runs(flags: NDArray[np.bool_]) -> list[tuple[int, int]]:
-    """Return the first and last index of each run of True."""
+    """Return the first and last index of each group of consecutive True values."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], flags.astype(np.int8), [0]])))
     return [(int(a), int(b) - 1) for a, b in edges.reshape(-1, 2)]
 

@@ -85,7 +85,7 @@ class Airways:
     base: Airways | None = None
     """Result of the search before the edits; None without edits."""
     next_id: int | None = None
-    """Smallest id that no branch has ever had; None before the first edit."""
+    """Smallest ID that no branch has had, so that IDs are never reused; None before the first edit."""
     uncertain: tuple[Uncertainty, ...] = ()
     """Places where an airway could not be followed, with reasons, the widest first.
 

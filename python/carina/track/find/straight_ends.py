@@ -17,7 +17,7 @@ Points = NDArray[np.float64]
 MIN_WIDE_MM = 8.0
 """Least width in mm of the wide part of an airway that ends in a wall."""
 MAX_NARROWED = 0.65
-"""Largest ratio between the radii of the narrow and the wide part."""
+"""Ratio of the narrow to the wide radius of a branch above which the branch does not count as narrowed."""
 MIN_TURN_DEG = 25.0
 """Least angle in degrees between the narrow part and the wide part. An airway that tapers continues straight on."""
 FROM_START_MM = 10.0

@@ -49,7 +49,7 @@ class TopOfTrachea:
     start: Point
     """Uppermost voxel of the trachea, LPS in mm."""
     searched: SoftenedCt
-    """CT with tissue in place of air that is not trachea."""
+    """CT for the search of the airways, in which tissue replaces all air that is not trachea."""
     upper_zyx: NDArray[np.uint8] | None
     """Mask (nz, ny, nx), 1 in larynx and throat; None if the scan ends below them."""
     sections: list[AirSection]
@@ -59,7 +59,7 @@ class TopOfTrachea:
     cut: list[AirSection]
     """Sections beside an opening to the air outside, where the lumen is limited to the section."""
     starts_in_it: bool
-    """Whether the lowest section of the trachea is already inside the tube."""
+    """Whether the tube already is in the trachea's lowest section, so that no section without the tube exists."""
     is_open: bool
     """Whether the trachea is open to the air outside through the front of the neck."""
     cords: Cords | None

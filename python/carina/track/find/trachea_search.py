@@ -30,7 +30,7 @@ from carina.volume.model import Volume
 # HU levels. AirScale converts each one to the values of the volume. The search uses the first level that shows a
 # trachea: a lower one if the wall between trachea and lung is thin, a higher one if the slices blur the trachea.
 TRACHEA_AIR_HU = (-800.0, -900.0, -700.0)
-# Least value in HU of the tissue round the trachea.
+# Least value in HU of the tissue that must surround a candidate for the trachea.
 TISSUE_HU = -450.0
 
 # Notes on a trachea that lacks one of its usual features.
@@ -113,7 +113,7 @@ def trachea_in(
             continue
         if found is None or (
             len(other["doubts"]) < len(found["doubts"])
-            # Reject a bronchus of the same airway, which may have fewer doubts than the trachea.
+            # A candidate far below the present one is a bronchus of the same airway, also if it has fewer doubts.
             and _top_z(volume, other) >= _top_z(volume, found) - UP_FIRST_MM
         ):
             found = other

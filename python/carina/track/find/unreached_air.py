@@ -16,7 +16,7 @@ Points = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 ROUND_TREE_MM = 30.0
-"""Largest distance in mm of an island of air from the bounding box of the tree."""
+"""Margin in mm round the bounding box of the tree in which islands of air are searched; air beyond it is not listed."""
 MIN_MM3 = 15.0
 MIN_VOXELS = 8
 MIN_LONG_MM = 6.0
@@ -76,7 +76,7 @@ def find_islands(volume: Volume, lumen_zyx: NDArray[np.uint8], tree_lps: Points,
         (n, 3) points of the centrelines of the tree, LPS in mm. Pieces are searched in their bounding box and 30 mm
         round it.
     darkest
-        Highest value of air, in the numbers of the volume.
+        Largest voxel value that counts as air, in the unit of the volume (HU for a CT in HU).
     """
     voxel_mm3 = abs(float(np.linalg.det(volume.lps_from_ijk[:3, :3])))
     pieces = find_pieces_of_air(
@@ -156,7 +156,10 @@ def _ends(points: Points, edges: Ints, coarsest_mm: float, voxel_mm3: float) -> 
 
 
 def _end_at(points: Points, away_mm: Points, voxel_mm3: float) -> IslandEnd | None:
-    """Return an end with its axis, from the centres of the two stretches next to it."""
+    """Return an end of an island of air, with the axis of the airway there; None if the island is too short.
+
+    The axis is the line through the centres of two parts: the part of the island next to the end, and the next part.
+    """
     first = away_mm <= 2.0 * AXIS_MM
     radius_mm = float(np.sqrt(first.sum() * voxel_mm3 / (2.0 * AXIS_MM) / np.pi))
     length_mm = max(AXIS_MM, radius_mm)
@@ -170,7 +173,7 @@ def _end_at(points: Points, away_mm: Points, voxel_mm3: float) -> IslandEnd | No
 
 
 def _ways_mm(neighbours: list[list[tuple[int, float]]], start: int) -> Points:
-    """Return the length (mm) of the shortest path from one cell to every cell."""
+    """Return the length in mm of the shortest path from a start node to every node of a graph; infinity without one."""
     length = np.full(len(neighbours), np.inf)
     length[start] = 0.0
     waiting = [(0.0, start)]

@@ -27,7 +27,7 @@ NARROW_WIDTH = 0.7
 NARROW_AREA = 0.6
 # Largest ratio of the width (left-right) to the depth (front-back) of a section that counts as a slit.
 SLIT = 0.6
-# Least ratio of the throat's width to the trachea's width.
+# Ratio of a section's width to that of the trachea from which the section counts as throat (pharynx).
 THROAT_WIDTH = 1.3
 # Height in mm above a narrow place up to which sections are searched for more trachea, which shows that the narrow
 # place is a stenosis.
@@ -38,7 +38,7 @@ TRACHEA_ABOVE_MM = 20.0
 TRACHEA_ABOVE_TUBE_MM = 9.0
 # Greatest length in mm of a larynx, from the cone below the true cords to the wide part of the vestibule.
 LONGEST_MM = 40.0
-# Greatest length in mm of the part of the larynx above the cords.
+# Length in mm of the larynx above the cords; cords that fluid hides are placed this far below the larynx's upper end.
 ABOVE_CORDS_MM = 20.0
 # Range of heights in mm of an adult's cords above the lower border of the cricoid, scaled in smaller and larger
 # people.
@@ -55,11 +55,12 @@ ADULT_CORDS_MM = 146.0
 # Range of relative sizes of the trachea in which the larynx has an adult's size; outside it the larynx scales with the
 # trachea.
 ADULT_SIZES = (0.92, 1.0)
-# Least and largest size of a larynx relative to an adult's.
+# Limits of the size of a larynx relative to an adult's; an estimate outside them is set to the limit.
 SIZES = (0.4, 1.2)
 # Smallest extent in mm (left-right and front-back) of a CT of a neck or a head, also of a child's.
 MIN_NECK_MM = 90.0
-# Largest distance in mm below the cords at which the cone below them begins to narrow.
+# Height in mm above the narrow part's lower end in which the true vocal cords are searched: the length of the cone
+# below them.
 CONE_MM = 9.0
 # Range of areas of sections that belong to the trachea, as shares of the median area above the carina.
 AREAS_OF_TRACHEA = (0.6, 1.6)
@@ -67,7 +68,7 @@ AREAS_OF_TRACHEA = (0.6, 1.6)
 CARINA_GAP_MM = 4.0
 # Ratio of a section's area to the trachea's above which the section is throat, or air outside the body.
 WIDEST = 2.5
-# Smallest length in mm of a tube in the trachea.
+# Length in mm below which a bright ring in the trachea does not count as a tube.
 MIN_TUBE_MM = 12.0
 # Smallest median value in HU of plastic between air and air, also after blur by thick slices; noise is only just above
 # -800 HU.
@@ -78,13 +79,13 @@ LINE_NOISES = 8.0
 """Least brightness of a tube's radiopaque line above water, in standard deviations of the noise."""
 # Largest area of the air in a tube that fills the trachea, as a share of the trachea's area.
 TIGHT_AREA = 0.55
-# Least length in mm of a tube that fills the trachea.
+# Length in mm below which a narrow part of the trachea does not count as a tube that fills the trachea.
 MIN_TIGHT_MM = 25.0
 # Least ratio of the depth of a section beside an opening in the front of the neck to the depth of the trachea.
 DEEPER = 1.12
 # Largest ratio of a section's depth to the trachea's at which the trachea counts as complete again above an opening.
 COMPLETE_DEPTH = 1.3
-# Height in mm by which a tube dents the front of the trachea below and above an opening in the neck.
+# Height in mm below and above an opening in the neck in which the tube through it dents the front of the trachea.
 DENT_MM = 8.0
 # Share of the trachea's area below which the air round a tube shows that fluid surrounds the tube.
 LITTLE_AREA = 0.8
@@ -94,7 +95,7 @@ FORWARD_MM = 160.0
 ASIDE_MM = 25.0
 # Extent in mm of the search for an opening in the neck, up and down.
 UP_DOWN_MM = 30.0
-# Highest value in HU of the air in an opening of the neck.
+# Value in HU below which a voxel in front of the neck counts as open air, so that an opening is there.
 OPEN_AIR_HU = -900.0
 # Highest mean in HU of a block of air outside the body (that of lung is higher), and side of the block in mm.
 PURE_AIR_HU, PURE_AIR_MM = -940.0, 7.0
@@ -115,7 +116,7 @@ class Cords:
     begins_at: int
     """Index of the first section below the cricoid, where the tree begins."""
     above_root_mm: float
-    """Height of the section ``at`` above the root, in mm."""
+    """Height in mm of the section with index ``at`` above the root of the tree."""
     root_above_carina_mm: float | None = None
     """Height of the root above the carina, mm, if the cords were not seen; None if they were seen.
 

@@ -25,7 +25,7 @@ MIN_SEEN = 0.4
 """Smallest share of the sides of a bronchus on which its outer border must be visible."""
 MIN_OCTANTS = 5
 ROUND = 0.15
-"""Largest distance of a border point from the fitted circle, as a share of the radius."""
+"""Distance of a border point from the fitted circle, as a share of the radius, above which the point is an outlier."""
 CORE_MM = 0.8
 """Radius in mm of the disc over which values on an axis are averaged."""
 
@@ -39,7 +39,7 @@ class Plane:
     off_mm: Floats
     """(n, n, 2) offset of each sample from the centre of the plane, in mm along ``across``."""
     step_mm: float
-    """Distance between neighbouring samples of the plane, mm."""
+    """Distance in mm between neighbouring samples of the cross-section's picture."""
     across: Points
     """(2, 3) unit vectors that span the plane, LPS."""
 
@@ -57,7 +57,7 @@ class CrossSampler:
         self._values = Enclosures(volume.hu_zyx, volume.lps_from_ijk)
         self.scale: AirScale = air_scale(volume)
         self.half = float(self.scale.level(HALF_HU))
-        """Value half-way between air and soft tissue, in the units of the volume."""
+        """Voxel value half-way between air and soft tissue, at which a border is located."""
         self.lung = float(self.scale.level(LUNG_HU))
         self.step_mm = 0.5 * float(min(volume.spacing_mm))
 

@@ -15,15 +15,15 @@ from carina.volume.model import Volume
 
 AIR_END_HU = -800.0
 WALL_HU = 40.0
-# Least area in mm2 of the section of each main bronchus.
+# Area in mm2 below which a piece of air is not a main bronchus.
 MIN_PART_MM2 = 12.0
-# Least distance in mm of the two main bronchi from side to side.
+# Distance in mm from side to side below which two pieces of air are not the two main bronchi.
 MIN_APART_MM = 7.0
-# Length in mm over which the divergence of the main bronchi is measured.
+# Distance in mm below a division over which both parts are followed to measure how they diverge.
 FOLLOWED_MM = 6.0
-# Least divergence in mm of the main bronchi over FOLLOWED_MM.
+# Increase in mm of the parts' distance over `FOLLOWED_MM`, below which a division is not the carina.
 DIVERGE_MM = 2.0
-# Share of the trachea's area that a main bronchus has at most.
+# Share of the trachea's area above which a section is still the trachea and not one main bronchus.
 MIN_AREA = 0.7
 # Largest error in mm of the ends of the trachea in the search by anatomy.
 MISSED_MM = 10.0
@@ -37,7 +37,7 @@ OWN_WALL_MM = 2.0
 
 @dataclass(frozen=True, slots=True)
 class DownToCarina:
-    """Air of the trachea below a given voxel."""
+    """Cross-sections of the trachea's air from a given voxel down to the carina."""
 
     sections: list[AirSection]
     """Sections of the trachea's air from the given voxel down to the last section above the carina."""

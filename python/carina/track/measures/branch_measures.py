@@ -110,7 +110,7 @@ class BranchMeasures(Tabular):
 
     branch_id: int
     at_mm: Floats
-    """Distance (n,) of each section along the branch, mm."""
+    """Distance (n,) of each section from the start of the branch, mm."""
     centre_lps: Floats
     """Centre (n, 3) of the measured lumen in each section, LPS in mm."""
     normal_lps: Floats
@@ -120,9 +120,9 @@ class BranchMeasures(Tabular):
     equivalent_mm: Floats
     """Diameter (n,) of the circle with the area of the lumen in each section, mm."""
     min_mm: Floats
-    """Least width (n,) of the lumen through the centre of each section, mm."""
+    """Least width (n,) of the lumen in each section, measured through its centre, mm; NaN if it was not measured."""
     max_mm: Floats
-    """Greatest width (n,) of the lumen through the centre of each section, mm."""
+    """Greatest width (n,) of the lumen in each section, measured through its centre, mm; NaN if it was not measured."""
     wall_mm: Floats
     """Thickness (n,) of the wall in mm, where neither a vessel nor the mediastinum touches its outer side."""
     at_junction: NDArray[np.bool_]
@@ -255,7 +255,7 @@ class TreeMeasures(Tabular):
     Without it edges are placed at the half-maximum, and small lumens are underestimated.
     """
     noise: float
-    """Standard deviation of the values in the trachea, in the numbers of the volume."""
+    """Standard deviation of the voxel values in the trachea, in the unit of the volume (HU for a CT in HU)."""
     notes: tuple[str, ...] = ()
     """Texts about the measurement, such as a blur that could not be measured."""
     _keys: tuple[bytes, ...] = dataclasses.field(default=(), repr=False)
@@ -427,8 +427,8 @@ def measure_tree(
         Measures of these airways before an edit: unchanged branches are reused, with the blur and the noise of the
         scan. Forks and summaries are always computed again. Measures by an earlier method are not used.
     progress
-        False, True or ``f(what, fraction)``. True, as None, shows a bar in a terminal or a notebook. The fraction is
-        None where it is unknown.
+        False, True, None or ``f(what, fraction)``. True and None show a progress bar in a terminal or a notebook; False
+        shows none. The fraction is None while the progress is unknown.
     cancel
         Function that is called often; the calculation stops when it returns True.
 

@@ -47,7 +47,7 @@ class Stenosis:
     area_percent: float
     """Reduction of the area relative to the reference's area, in percent."""
     at_mm: float
-    """Distance of the narrowest place along the branch, mm."""
+    """Distance of the narrowest place from the start of the branch, mm."""
     min_mm: float
     """Equivalent diameter at the narrowest place, mm."""
     reference_mm: float
@@ -69,7 +69,7 @@ class Stenosis:
 @one_line
 @dataclass(frozen=True, slots=True)
 class ReferenceDiameter:
-    """Diameter that a healthy branch would have at one place."""
+    """Diameter that the lumen of a healthy branch would have at one place, with its error and source."""
 
     mm: float
     """Diameter in mm that a healthy branch would have at the place."""
@@ -92,7 +92,7 @@ class BranchSummary:
     angle_deg: float | None = None
     """Angle to the parent in degrees (0: straight on), between chords of two diameters on both sides of the fork."""
     num_sections: int = 0
-    """Number of sections of the branch that the summary uses."""
+    """Number of measured sections on which the summary is based."""
     mean_mm: float | None = None
     """Diameter of the branch (:mod:`carina.track.measures.diameter`), mm: the median.
 
@@ -108,7 +108,7 @@ class BranchSummary:
     min_error_mm: float | None = None
     """Error of ``min_mm`` (half of a 95 % interval), mm; None in measurements of earlier versions."""
     min_at_mm: float | None = None
-    """Distance of the narrowest place along the branch, mm."""
+    """Distance of the narrowest place from the start of the branch, mm; None if the lumen was not measured."""
     taper: float | None = None
     """Change of the equivalent diameter per mm of length (mm/mm); below 0 if the branch narrows."""
     wall_mm: float | None = None

@@ -22,7 +22,7 @@ DEVIATIONS_95 = 1.96
 SCATTER_SHARE = 0.5
 """Share of the scatter (95 % interval) that is added to a branch's error; the model error includes the rest."""
 NARROW_REACH_DIAMETERS = 0.5
-"""Length before and after a point that a running median covers, in diameters."""
+"""Half length, in diameters, of the window of the running median that removes single wrong diameters."""
 SECTION_ERROR = 1.645 / DEVIATIONS_95
 """Factor from half of a 95 % interval to half of a 90 % interval: sections state the first, passages the second."""
 PASSAGE_ERROR = 0.03
@@ -49,7 +49,7 @@ MEDIAN_VARIANCE = 0.5 * np.pi
 MAX_CORRELATION = 0.9
 """Upper limit of the correlation of neighbouring sections, which a running median cannot estimate when larger."""
 MIN_FOR_SCATTER = 5
-"""Least number of sections from which their scatter is estimated."""
+"""Number of measured sections below which the scatter of the diameters is not estimated."""
 
 
 @one_line
@@ -63,7 +63,7 @@ class Diameter:
     branch_id: int | None = None
     """ID of the branch that contains the narrowest place; None for the diameter of a whole branch."""
     at_mm: float | None = None
-    """Distance of the narrowest place along the branch ``branch_id``, mm."""
+    """Distance of the narrowest place from the start of the branch ``branch_id``, mm."""
 
 
 @one_line
@@ -80,9 +80,9 @@ class Passage:
 
     branch_id: int
     at_mm: Floats
-    """Distance (n,) of each point along the branch, mm."""
+    """Distance (n,) of each point from the start of the branch, mm."""
     diameter_mm: Floats
-    """Passable diameter (n,) in mm."""
+    """Largest diameter (n,) in mm of a round instrument that passes each point."""
     error_mm: Floats
     """Half (n,) of an interval in mm that should contain the true value in 90 of 100 cases."""
     unmeasured: NDArray[np.intp]

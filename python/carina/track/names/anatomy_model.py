@@ -41,7 +41,7 @@ class Segment:
     absent: float
     """Probability that the segment is missing from the tree of a good CT, because it is absent or was not found."""
     bulk: float = 1.0
-    """Size of the segment's part of the tree, relative to other segments."""
+    """Expected total length of the segment's bronchi, relative to that of other segments."""
 
 
 # Absent: RB7 6.1 %, B* present in 16 % (MESA, n = 3,169); no B9 in 18 % of 238 (Huang 2019); the rest: not found.
@@ -155,11 +155,11 @@ class Division:
     """All divisions of states in two, in both orders, as arrays sorted by the dividing state."""
 
     state: NDArray[np.intp]
-    """State (n,) that each division divides, as index in the grammar."""
+    """Index in `names` (n,) of the state that each division divides."""
     one: NDArray[np.intp]
-    """State (n,) of the first part of each division."""
+    """Index in `names` (n,) of the state of each division's first part."""
     two: NDArray[np.intp]
-    """State (n,) of the second part of each division."""
+    """Index in `names` (n,) of the state of each division's second part."""
     log_prior: NDArray[np.float64]
     """Log probability (n,) of the division, from anatomy alone."""
     place: NDArray[np.float64]

@@ -53,7 +53,7 @@ def _log_peak(kappa: Array | float) -> Array:
 
 
 STUMP_MM = 2.5
-"""Least radius of a stump, mm."""
+"""Radius in mm from which a short end of a bronchus counts as a stump (after a resection, or before a plug)."""
 STUMP_SHARE = 0.55
 """Least ratio of a stump's radius to its parent's radius.
 
@@ -429,7 +429,7 @@ class Solver:
         return spread
 
     def _outward(self, number: int) -> None:
-        """Compute the probabilities of the children from those of a bronchus."""
+        """Compute the probabilities of the child bronchi's states from those of their parent."""
         post = self.posts[number]
         if not len(post):
             post = self.posts[number] = np.zeros(len(self.grammar))

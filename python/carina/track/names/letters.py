@@ -14,12 +14,12 @@ class LetterRule(enum.StrEnum):
     """Rule for the order in which the subsegments of a segment get their letters."""
 
     TOP_LATERAL_BACK = "top-lateral-back"
-    """Top before bottom, lateral before medial, back before front.
+    """Letter a is the upper subsegment, else the lateral one, else the posterior one.
 
-    The axis along which the subsegments are farthest apart decides. Usual in Japan and in surgery.
+    The axis along which the subsegments are farthest apart decides. This rule is usual in Japan and in surgery.
     """
     BACK_FIRST = "back-first"
-    """a is the posterior subsegment, b the anterior one."""
+    """Letter a is the posterior subsegment, and letter b the anterior one, whatever their other positions."""
 
 
 def letter_order(middles: Sequence[NDArray[np.float64]], rule: LetterRule) -> tuple[list[int], float]:

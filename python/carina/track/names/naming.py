@@ -63,11 +63,11 @@ MIN_GAIN = 1.5
 MIN_READ_FOR_FRAME = 6.0
 """Least expected number of bronchi with a state at which the body frame is refined by their directions."""
 MIN_BRANCHES = 12
-"""Least number of branches of a tree in which lobes are distinguished."""
+"""Number of branches of a tree below which its lobes are not distinguished."""
 COARSE_FORKS = 5
 """Number of forks from the root up to which airways are used to choose the body frame and the side."""
 NUM_TREES = 4
-"""Number of trees whose lobes are cached."""
+"""Number of trees whose assignment of lobes is cached; a further tree removes the least recently used one."""
 LETTERS, ROMAN = "abcdefgh", ("i", "ii", "iii", "iv", "v", "vi", "vii", "viii")
 
 _VARIANT_STEMS = {
@@ -443,7 +443,7 @@ def _holds(rules: Grammar, name: str) -> NDArray[np.float64]:
     return np.array([0.0 if keys <= parts else UNFIT for keys in rules.segments])
 
 
-# Names from the assigned states.
+# Names of the bronchi, from the states that were assigned to them.
 
 
 def _names_of(read: _Named, rule: LetterRule) -> tuple[dict[int, tuple[str | None, float]], dict[int, str]]:

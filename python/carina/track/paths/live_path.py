@@ -46,7 +46,7 @@ class LumenPaths(Protocol):
 
     @property
     def air_scale(self) -> AirScale:
-        """Values of air and soft tissue in the numbers of the volume."""
+        """Voxel values of air and soft tissue in this volume, which need not be HU."""
         ...
 
     @property
@@ -85,7 +85,7 @@ class LivePath:
     snapped_mm: float
     """Distance in mm of the given point from the lumen; 0 inside the lumen."""
     new_mm: float
-    """Length in mm of the path outside the current tree."""
+    """Length in mm of that part of the path that is not yet in the tree."""
     joins_branch_id: int | None
     """Branch of the current tree from which the new part starts; None without a tree."""
     problem: str | None
@@ -190,7 +190,7 @@ def wall_scores(
     sigma_hu
         Standard deviation of the noise.
     scale
-        Air and soft tissue in the numbers of the volume.
+        Voxel values of air and soft tissue in this volume, which need not be HU.
     """
     points = points_lps[np.linspace(0, len(points_lps) - 1, min(len(points_lps), MAX_POINTS)).round().astype(int)]
     across_u, across_v = _perpendicular_vectors(points, path_lps)

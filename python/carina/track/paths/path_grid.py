@@ -20,7 +20,7 @@ PART_MM = 1.0
 THICK = 1.5
 """Ratio of a slice's thickness to the voxel width from which a slice counts as thick."""
 WIDEST_MM = 1.0
-"""Largest voxel width in mm at which slices are divided."""
+"""Voxel width in mm above which thick slices are not divided."""
 MIN_SLICES = 4
 MAX_PARTS = 16
 MIN_PART_MM = 0.5

@@ -298,7 +298,7 @@ class PathTracker:
 
     @property
     def air_scale(self) -> AirScale:
-        """Values of air and soft tissue in the numbers of the volume."""
+        """Voxel values of air and soft tissue in this volume, which need not be HU."""
         if self._air_scale is None:
             self._air_scale = air_scale(self.volume)
         return self._air_scale

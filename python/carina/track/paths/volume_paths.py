@@ -130,7 +130,7 @@ class FieldPaths:
 
     @property
     def quantum(self) -> float:
-        """Smallest unit of the costs: costs are whole multiples of it."""
+        """Unit of the integer path costs; every cost is a whole multiple of it."""
         return self._core.quantum
 
     @property
@@ -150,8 +150,8 @@ class FieldPaths:
         Parameters
         ----------
         progress
-            False, True or ``f(what, fraction)``. True, as None, shows a bar in a terminal or a notebook. The
-            fraction is None where it is unknown.
+            False, True, None or ``f(what, fraction)``. True and None show a progress bar in a terminal or a notebook;
+            False shows none. The fraction is None while the progress is unknown.
         cancel
             Function that is called often; the calculation stops when it returns True.
 
@@ -177,8 +177,8 @@ class FieldPaths:
         target_lps
             End of the path, LPS in mm.
         progress
-            False, True or ``f(what, fraction)``. True, as None, shows a bar in a terminal or a notebook. The
-            fraction is None where it is unknown.
+            False, True, None or ``f(what, fraction)``. True and None show a progress bar in a terminal or a notebook;
+            False shows none. The fraction is None while the progress is unknown.
         cancel
             Function that is called often; the calculation stops when it returns True.
 
@@ -227,8 +227,8 @@ def aimed_path(
     target_lps
         End of the path, LPS in mm.
     progress
-        False, True or ``f(what, fraction)``. True, as None, shows a bar in a terminal or a notebook. The fraction is
-        that of the open voxels that were settled.
+        False, True, None or ``f(what, fraction)``. True and None show a progress bar in a terminal or a notebook; False
+        shows none. The fraction is that of the open voxels that were settled.
     cancel
         Function that is called often; the calculation stops when it returns True.
 

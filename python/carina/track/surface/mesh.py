@@ -59,8 +59,8 @@ def lumen_mesh(
         Airways with the lumen. If it was found in the CT, the vertices are at the half-maximum between air and wall;
         for a lumen from external software they are half-way between its voxels and their neighbours.
     progress
-        False, True or ``f(what, fraction)``. True, as None, shows a bar in a terminal or a notebook. The fraction is
-        None where it is unknown.
+        False, True, None or ``f(what, fraction)``. True and None show a progress bar in a terminal or a notebook; False
+        shows none. The fraction is None while the progress is unknown.
     cancel
         Function that is called often; the calculation stops when it returns True.
 

@@ -36,8 +36,8 @@ def wall_field(
     spacing_mm
         Distance between the samples.
     progress
-        False, True or ``f(what, fraction)``. True, as None, shows a bar in a terminal or a notebook. The fraction is
-        None where it is unknown.
+        False, True, None or ``f(what, fraction)``. True and None show a progress bar in a terminal or a notebook; False
+        shows none. The fraction is None while the progress is unknown.
     cancel
         Function that is called often; the calculation stops when it returns True.
 

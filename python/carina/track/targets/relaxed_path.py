@@ -1,4 +1,4 @@
-"""Relaxation of a path by the cost ``walls``: the shortest smooth path in the tube that the search followed."""
+"""Relaxation of a path that was found with the cost ``walls``, to a shorter and smoother path in the same vessel."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ Points = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 REACH_MM = 12.0
-"""Largest radius of the tube where no lumen is known, mm."""
+"""Largest radius in mm of the tube for relaxation at points where no lumen is known."""
 RAY_STEP_MM = 0.5
-"""Distance between the values that are compared along a ray, mm."""
+"""Distance in mm between the samples of a ray, whose values are compared with the path's to find the tube's radius."""
 NUM_RAYS = 32
 """Number of rays from each node that search the end of the medium (the material in which the path runs)."""
 MEDIUM_NODES = 5
-"""Number of nodes before and after a node whose values determine its medium."""
+"""Number of nodes before and after a node whose values define the medium (air, contrast) that the path is in."""
 NOISE_FACTOR = 4.0
 """Least difference between a ray's value and the medium at which the medium ends, as a multiple of the noise."""
 RISE_SHARE = 0.3

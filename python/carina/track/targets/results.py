@@ -48,7 +48,7 @@ class TargetSearch:
     With the cost ``walls`` the path is the relaxed one, unless the search was made without relaxation.
     """
     value_range: tuple[int, int]
-    """Lowest and highest value of the path's voxels, in the numbers of the volume."""
+    """Lowest and highest value of the path's voxels, in the unit of the volume (HU for a CT in HU)."""
     to_node_mm: float
     """Distance in mm from the voxel of the target to its node; above 0 if the voxel was pruned."""
     search_length_mm: float = 0.0
@@ -78,7 +78,7 @@ class GraphSearch:
     build_s: float
     """Time for building the graph and the cost of its edges, s."""
     quantum: float
-    """Smallest unit of the costs: costs are whole multiples of it."""
+    """Unit of the integer path costs; every cost is a whole multiple of it."""
     first_ijk: tuple[int, int, int]
     """First voxel (i, j, k) of the box that was searched."""
     shape_ijk: tuple[int, int, int]
@@ -105,7 +105,7 @@ class TargetResult:
     used_lps: NDArray[np.float64] | None
     """End of the path, LPS in mm: the target, or the lumen voxel to which it was moved; None if there is no path."""
     snapped_mm: float
-    """Distance in mm by which the target was moved to the lumen."""
+    """Distance in mm from the given target to the nearest point of the lumen, to which the target was moved."""
     path: TrackedPath | None
     """Path to the target; None if there is no path."""
     problem: str | None

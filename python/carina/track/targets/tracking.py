@@ -87,8 +87,8 @@ def track_paths(
         Whether paths of the cost ``walls`` are shortened and smoothed after the search, in the tube that it followed.
         False returns the path of the search, as in the paper: 20 to 38 % longer, with a turn of 30 degrees per 3 mm.
     progress
-        False, True or ``f(what, fraction)``. True, as None, shows a bar in a terminal or a notebook. The fraction is
-        None where it is unknown.
+        False, True, None or ``f(what, fraction)``. True and None show a progress bar in a terminal or a notebook; False
+        shows none. The fraction is None while the progress is unknown.
     cancel
         Function that is called often; the calculation stops when it returns True.
 

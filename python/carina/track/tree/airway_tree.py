@@ -39,7 +39,7 @@ VERSION = 1
 KINDS = ("tracked", "bridge", "manual")
 TREE_HEIGHT_PX = 320
 MAX_ROWS = 12
-"""Largest number of rows of a tree's table in a notebook."""
+"""Number of rows above which the table of a tree in a notebook is shortened."""
 NAME_SOURCES = ("anatomy", "person")
 
 Points = NDArray[np.float64]
@@ -146,11 +146,11 @@ class TreeRow:
     branches: tuple[Branch, ...]
     """Pieces from the trachea outwards, each of which begins at the end of the one before."""
     depth: int
-    """Number of rows between the root and this row: 0 in the trachea."""
+    """Number of bronchi (rows of the branch list) between the root and this one: 0 for the trachea."""
 
     @property
     def id(self) -> int:
-        """ID of the first piece of the bronchus."""
+        """ID of the bronchus: that of its first branch (piece between two forks)."""
         return self.branches[0].id
 
     @property
@@ -200,7 +200,7 @@ class Route:
     branch_ids: NDArray[np.int32]
     """ID (n,) of the branch at each point; at a fork that of the branch that ends there."""
     forks_mm: list[float]
-    """Positions of the forks along the route, mm."""
+    """Positions of the forks that the route passes, in mm from its start."""
 
     @property
     def length_mm(self) -> float:

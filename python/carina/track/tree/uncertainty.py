@@ -37,7 +37,7 @@ WALL_WEIGHT = 0.2
 """Weight of the log odds of a branch's walls relative to the log odds of the path along the branch."""
 SUREST_WALLS, SUREST_WAY = 0.99, 0.995
 MAX_COMBINED = 0.94
-"""Highest combined confidence of path and walls, unless both alone are more certain."""
+"""Limit of the confidence that combines path and walls, unless one of both alone is higher."""
 # Walls are means of three sections and of neighbouring steps, so their noise grows more slowly than that of a voxel. Up
 # to this noise, on which AIRWAY_SHARE was fitted, the noise of a voxel is used.
 USUAL_NOISE_HU = 25.0
@@ -46,15 +46,15 @@ NOISE_POWER = 0.75
 # Limits for thin branches in a CT with deep rims: in painted CTs with a sharp kernel, one in ten of the best-scoring
 # lumens of this width is a rim that looks like a wall.
 SHARP_RIM_HU = 15.0
-# Radius in voxels below which a branch is thin.
+# Median radius in voxels below which a branch counts as thin.
 THIN_VOXELS = 2.0
 # Largest confidence of a thin branch in a CT with dark rims beside edges.
 MAX_BESIDE_RIMS = 0.95
 # Length in mm of the end of a branch that is not judged, because it is the blind end of the lumen.
 BLUNT_MM = 2.0
-# Number of sections at which the wall of a branch is judged.
+# Number of cross-sections of a branch at which its wall is judged.
 NUM_SECTIONS = 12
-# Number of sides of a section on which a wall is searched.
+# Number of directions, evenly round a cross-section, in which a wall is searched.
 NUM_SIDES = 16
 
 

@@ -13,7 +13,7 @@ const CLOCK = PAGE * 0x10000 + 0x21;
 const INSERTION = PAGE * 0x10000 + 0x22;
 const ROLL = PAGE * 0x10000 + 0x23;
 const LEVER = PAGE * 0x10000 + 0x24;
-/** Time at which the handle's clock starts again at 0, ms. */
+/** Time in ms at which the clock of the handle overflows and starts again at 0. */
 const CLOCK_WRAPS_MS = 2 ** 31;
 /** Insertion per unit of the report, mm. */
 const MM = 0.01;

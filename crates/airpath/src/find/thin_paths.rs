@@ -17,7 +17,7 @@ const FIRST_MM: f32 = 1.0;
 const MAX_MM: f32 = 4.0;
 /// Change of the allowance per mm of path, as a factor of (dip divided by the threshold, minus 1).
 const PRICE: f32 = 2.0;
-/// Largest increase of the allowance per mm of path.
+/// Limit of the increase of a path's allowance per mm, also through voxels with a deep dip.
 const MAX_GAIN: f32 = 0.5;
 /// Smallest increase of a voxel's allowance, in mm, for which the search visits the voxel again.
 const BETTER_MM: f32 = 0.05;
@@ -226,7 +226,7 @@ impl Buckets {
 pub(crate) struct Ways {
     /// Previous node on the path; `None` for a node beside the lumen.
     pub(crate) before: Vec<Option<u32>>,
-    /// Length of the path from the lumen, mm.
+    /// Length in mm of the path from the lumen to each node.
     pub(crate) along_mm: Vec<f32>,
 }
 
@@ -295,7 +295,7 @@ pub(crate) struct Dips<'a> {
     filter: &'a TubeFilter,
     values: &'a [i16],
     smooth: &'a [i16],
-    /// Largest value of the smoothed volume in a lumen.
+    /// Smoothed voxel value above which a voxel cannot be lumen.
     brightest: i16,
     simd: InstructionSet,
     /// Dips in blocks of voxels that are consecutive in memory, because the search soon needs the neighbours of a
@@ -396,7 +396,7 @@ impl Wave {
 
 /// Number of consecutive voxels of one block of a [`VoxelMap`].
 const TILE: usize = 256;
-/// Entry of a voxel without a number.
+/// Value of an entry whose voxel has no number.
 const NONE: u32 = u32::MAX;
 
 /// Map from voxels of a volume to numbers, which uses memory only for the blocks that have entries.

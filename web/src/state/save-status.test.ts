@@ -1,6 +1,6 @@
 import { describe, expect, it } from "vitest";
 import { clock } from "./format";
-import { savedText } from "./saved-text";
+import { savedText } from "./save-status";
 import { NOTHING_SAVED } from "./saving.testing";
 
 const NOW_S = 1_800_000_000;

@@ -1,4 +1,4 @@
-"""Tests of the choice of lanes with a fake clock: lanes that do not pay are not used, and are tried again."""
+"""Tests of the choice of renderers (lanes) with a fake clock: a renderer that slows frames down is not used."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from carina.cluster import lane_choice
-from carina.cluster.lane_choice import LaneChoice
+from carina.cluster import renderer_selection
+from carina.cluster.renderer_selection import LaneChoice
 from carina.cluster.scheduler import StripScheduler
 from carina.cluster.settings import ClusterSettings
 from carina_bench.cluster_simulation import SimulatedCluster, SimulatedRenderer
@@ -39,7 +39,7 @@ class FakeFlight:
         self.seconds: dict[int, float] = {}
         self.now_s = 0.0
         self.used: list[int] = []
-        """Number of lanes of each frame."""
+        """Number of lanes that rendered strips of each frame."""
 
     def fly(self, frames: int = 400) -> FakeFlight:
         for _ in range(frames):
@@ -53,7 +53,7 @@ class FakeFlight:
 
     @property
     def usual(self) -> int:
-        """Number of lanes of most of the last 100 frames."""
+        """Most frequent number of lanes among the last 100 frames."""
         return Counter(self.used[-100:]).most_common(1)[0][0]
 
 
@@ -153,7 +153,7 @@ def test_lane_that_joins_is_tried_at_once_and_dropped_if_it_does_not_pay():
     assert flight.used[-1] == 3
     flight.fly(100)
     assert flight.usual == 2
-    assert flight.used[-100:].count(3) <= lane_choice.SETTLING_FRAMES + lane_choice.MEASURED_FRAMES
+    assert flight.used[-100:].count(3) <= renderer_selection.SETTLING_FRAMES + renderer_selection.MEASURED_FRAMES
 
 
 def test_lane_that_leaves_is_replaced_by_an_unused_lane():
@@ -179,13 +179,13 @@ def test_lanes_that_share_a_processor_are_reduced_to_one_although_all_are_busy()
     flight = FakeFlight(2, lambda _, __: 0.02, lambda lanes: 0.02 * len(lanes)).fly(8000)
     assert flight.usual == 1
     first = flight.used.index(1)
-    assert sum([0.02] * first) == pytest.approx(lane_choice.FULLY_BUSY_S, abs=1.0)
+    assert sum([0.02] * first) == pytest.approx(renderer_selection.FULLY_BUSY_S, abs=1.0)
 
 
 def test_trial_of_too_few_lanes_ends_after_three_frames():
     # All lanes are busy, so one lane is tried after 10 s and then after growing times from a minute on.
     flight = FakeFlight(2, lambda lanes, _: 0.6 / len(lanes), lambda _: 0.6).fly(600)
-    assert 0 < flight.used.count(1) <= 3 * (lane_choice.ABORT_FRAMES + 1)
+    assert 0 < flight.used.count(1) <= 3 * (renderer_selection.ABORT_FRAMES + 1)
 
 
 @pytest.mark.parametrize(

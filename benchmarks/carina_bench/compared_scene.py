@@ -12,7 +12,7 @@ __all__ = ["FOV_DEG", "STEP_VOX", "STOP_TRANSPARENCY", "TRANSFER", "VTK_STOP_TRA
 FOV_DEG = 90.0
 """Field of view of every compared picture, degrees."""
 STEP_VOX = 0.5
-"""Distance between two samples of a ray, voxels."""
+"""Distance in voxels between two samples of a ray, for all compared renderers."""
 STOP_TRANSPARENCY = 1 / 512
 """Transparency at which the rays of Carina and of the numba baseline stop."""
 VTK_STOP_TRANSPARENCY = 255 / 32767

@@ -1,4 +1,4 @@
-"""Choice of the lanes and of the number of open frames for one kind of frame, by measured times.
+"""Choice of the renderers (*lanes*: the console's connections to them) and of the number of open frames, by times.
 
 Each strip costs the console a fixed time, so that more lanes make a fast frame slower. The choice measures the time of
 a frame with the lanes in use, tries another number of lanes for a few frames, and uses the better number. The choice
@@ -15,11 +15,11 @@ from dataclasses import dataclass
 Lane = Hashable
 
 SETTLING_FRAMES = 5
-"""Number of frames after a change that are not measured, because the shares of the lanes still adapt."""
+"""Number of frames not measured after a change of the lanes, because the lanes' shares of a frame still adapt."""
 MEASURED_FRAMES = 10
-"""Number of frames whose times are compared."""
+"""Number of frames with each choice of lanes whose mean times are compared."""
 GAIN_OF_MORE_LANES = 0.05
-"""Part of a frame's time that more lanes must save."""
+"""Share of a frame's time that a larger number of lanes must save to be used."""
 LOSS_BY_FEWER_LANES = 0.01
 """Part of a frame's time that fewer lanes may cost; the difference to :data:`GAIN_OF_MORE_LANES` is the hysteresis."""
 LOSS_BY_FEWER_FRAMES = 0.05
@@ -48,7 +48,7 @@ CHANGED_WORK = 1.5
 
 @dataclass(frozen=True, slots=True)
 class LanePlan:
-    """Number of lanes and of open frames."""
+    """Number of lanes that render a frame, and of frames that are open at once."""
 
     num_lanes: int
     open_frames: int
@@ -91,7 +91,7 @@ class LaneChoice:
         self._slow = False
         self._rejected: dict[LanePlan, _Rejection] = {}
         self._since_s = -math.inf
-        """Time since which the plan, except for trials, is used."""
+        """Time since which the present plan is used, trials of other plans not counted."""
         self._is_doubtful = False
         """Whether the trial has fewer lanes than are busy on average."""
 
@@ -110,7 +110,7 @@ class LaneChoice:
 
     @property
     def is_trial(self) -> bool:
-        """Whether the present plan is a trial."""
+        """Whether the present plan is tried for a few frames only."""
         return self._before is not None
 
     def choose(self, able: Sequence[Lane], seconds: Mapping[Lane, float], now_s: float) -> tuple[Lane, ...]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 
 MAX_VALUE_CHARS = 80
-"""Longest part of a header value that a message quotes."""
+"""Number of characters to which a message shortens a value of a file's header."""
 MAX_WORD_CHARS = 800
 """Longest word of a message, such as a path; a word from a user or a file may have a million characters."""
 # C0 and C1 control characters, line and paragraph separators, direction overrides, and surrogates: Python stores a byte

@@ -6,7 +6,7 @@ import { clock } from "./format";
 /** A text about the saved state, with its tooltip. */
 export interface SavedText {
   readonly label: string;
-  /** Tooltip of the text. */
+  /** Tooltip of the text on the saving of the case. */
   readonly words: string;
   readonly warns: boolean;
 }

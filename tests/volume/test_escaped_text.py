@@ -6,7 +6,7 @@ import os
 
 import pytest
 
-from carina.display.printable import MAX_VALUE_CHARS, printable, shown_value
+from carina.display.escaped_text import MAX_VALUE_CHARS, printable, shown_value
 from carina.errors import CarinaError, DiskError, UsageError, VolumeImportError
 
 
