@@ -243,7 +243,7 @@ def _candidates(part: _Part, rng: np.random.Generator) -> Floats:
 
     def soft(ijk: NDArray[np.int64]) -> NDArray[np.float32]:
         i, j, k = np.clip(ijk, 0, size - 1).T
-        return part.soft[k, j, i]
+        return np.asarray(part.soft[k, j, i])
 
     way = np.stack([soft(edges + step) - soft(edges - step) for step in np.eye(3, dtype=int)], axis=1)
     way = way / (2.0 * np.array(part.spacing_mm))

@@ -24,7 +24,8 @@ from carina.session.store.disk_storage import case_files
 from carina.volume import VolumeCache, write_grid
 from carina_bench.gates import Gate
 from carina_bench.machine import load_average, machine_facts
-from carina_bench.opening import BOX_LPS, QUICK_MM, WHOLE_MM
+from carina_bench.opening import QUICK_MM, WHOLE_MM
+from carina_bench.written_series import BOX_LPS
 from carina_bench.worker import run_section
 
 __all__ = ["measure", "report"]

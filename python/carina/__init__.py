@@ -31,16 +31,13 @@ Airways (``carina.track``)
 
 Planning (``carina.plan``)
     grow_nodule         Segment a nodule from one point
-    plan_route          Plan routes to a nodule, with a verdict for each instrument
-    Nodule, Plan
+    plan_route          Return the Plan of routes to a Nodule, with a verdict for each instrument
 
 Pictures and movement (``carina.render``, ``carina.navigate``, ``carina.scopes``)
-    render_view         Render one picture of a view
-    render_surface      Render a picture of a mesh
+    render_view         Render one picture of a view; render_surface one of a mesh
     isoregion_map       Compute the IsoRegion map of a scan
-    transfer_preset     Return a transfer function by name
     score_recording     Score a recorded flight (``carina.training``)
-    Renderer, TransferFunction, Pose, FlightPath, Navigator, ScopeDrive
+    Renderer, TransferFunction, transfer_preset, Pose, FlightPath, Navigator, ScopeDrive
 
 Files (``carina.export``)
     export_airways      Write the tree, the lumen or its surface

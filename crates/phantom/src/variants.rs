@@ -107,7 +107,7 @@ impl Variants {
 
     /// Return whether an option that changes the airways cannot be combined with the variants.
     #[must_use]
-    pub(crate) fn conflict(&self) -> bool {
+    pub(crate) fn conflict(self) -> bool {
         self.left_isomerism
             && (self.tracheal_bronchus || self.subsuperior || self.absent_rb7 || self.trifurcations)
     }

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from carina.display import one_line
-from carina.display.printable import printable
+from carina.display.escaped_text import printable
 from carina.errors import CarinaError, UsageError
 from carina.training.task import Task
 from carina.training.task_file import find_task, task_from_file, task_names

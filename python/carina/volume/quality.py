@@ -203,11 +203,12 @@ def _body_mm(volume: Volume, lungs: CoarseLungs) -> float:
 def _contrast_l(volume: Volume, lungs: CoarseLungs) -> float:
     """Return the volume in litres of bright regions around cubes of 30 mm, which no bone contains."""
     bright = (lungs.hu > CONTRAST_HU[0]) & (lungs.hu < CONTRAST_HU[1])
-    cores, sizes_mm = bright, np.array(volume.spacing_mm)[::-1] * lungs.strides_zyx
+    cores: NDArray[np.bool_] = bright
+    sizes_mm = np.array(volume.spacing_mm)[::-1] * lungs.strides_zyx
     for axis, size_mm in enumerate(sizes_mm):
         reach = round(_CUBE_MM / 2 / size_mm)
         padded = np.pad(cores, [(reach, reach) if n == axis else (0, 0) for n in range(3)])
-        cores = np.lib.stride_tricks.sliding_window_view(padded, 2 * reach + 1, axis=axis).all(axis=-1)
+        cores = np.asarray(np.lib.stride_tricks.sliding_window_view(padded, 2 * reach + 1, axis=axis).all(axis=-1))
     parts = numbered_parts(bright)
     in_parts = np.isin(parts, np.unique(parts[cores])) if cores.any() else np.zeros_like(bright)
     return float(np.count_nonzero(in_parts & bright)) * float(np.prod(sizes_mm)) * 1e-6 if cores.any() else 0.0
