@@ -25,8 +25,8 @@ from carina.volume import VolumeCache, write_grid
 from carina_bench.gates import Gate
 from carina_bench.machine import load_average, machine_facts
 from carina_bench.opening import QUICK_MM, WHOLE_MM
-from carina_bench.written_series import BOX_LPS
 from carina_bench.worker import run_section
+from carina_bench.written_series import BOX_LPS
 
 __all__ = ["measure", "report"]
 
