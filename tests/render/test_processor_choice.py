@@ -343,3 +343,31 @@ def test_user_may_change_the_processor_while_the_program_runs():
     assert fixture.fly(scene)[-1] == "gpu"
     with pytest.raises(RenderError, match="abacus"):
         fixture.backend.set_mode("abacus")
+
+
+def test_device_picture_of_another_thread_does_not_disturb_the_comparison():
+    fixture, scene = BackendFixture(SimulatedDevice(gpu_ms=2.0, cpu_ms=10.0), "auto"), a_scene()
+    assert fixture.fly(scene)[-1] == "gpu"
+    fixture.device.ms["gpu"] = 15.0
+    fixture.fly(scene, SLOWER_PICTURES)
+    picture = fixture.device.cast(scene, VIEW, object())
+    fixture.caster._count_device_picture(scene, picture, 1e-3)
+    assert set(fixture.fly(scene, 2 * COMPARED_PICTURES)) == {"cpu"}
+    assert "slower than the CPU" in fixture.backend.trouble
+
+
+def test_loss_of_a_device_is_reported_after_a_volume_that_does_not_fit():
+    fixture = BackendFixture(SimulatedDevice(), "gpu", adapters=(CARD,))
+    reported = []
+    fixture.backend.subscribe(reported.append)
+    fixture.device.upload_error = RenderError("the volume does not fit", code="render.gpu-limit")
+    for _ in range(3):  # Each edit of the airways makes new values of the same shape.
+        fixture.fly(a_scene())
+    assert len(reported) == 1
+    fixture.device.upload_error = None
+    assert fixture.picture(a_scene()) == "gpu"
+    assert fixture.backend.trouble is None
+    fixture.device.error = RenderError("the graphics device Card 9000 cannot be used: lost", code="render.gpu")
+    fixture.fly(a_scene())
+    assert len(reported) == 2
+    assert "lost" in fixture.backend.trouble

@@ -109,6 +109,9 @@ class DeviceCaster:
         # pictures that are compared with them; None while no comparison is in progress.
         self._slower: list[float] = []
         self._compared: list[float] | None = None
+        self._device_s_per_pixel = 0.0
+        # Shapes of volumes that were reported not to fit: each edit of the airways makes new values of the same shape.
+        self._reported_shapes: set[tuple[int, ...]] = set()
 
     def try_cast(self, scene: Scene, view: AirwayView, *, leaps: bool, cast: Cast) -> Picture | None:
         """Return the picture from the device, or None if the CPU must render it.
@@ -126,6 +129,7 @@ class DeviceCaster:
                 raise
             self._stop_after_error(scene, error)
             return None
+        self._backend.clear_unused()
         self._count_device_picture(scene, picture, self._clock() - started)
         return picture
 
@@ -133,6 +137,9 @@ class DeviceCaster:
         """Give up a device that was chosen for its speed and is much slower; compare a slower one with the CPU."""
         num_pixels = picture.rgb.shape[0] * picture.rgb.shape[1]
         if self._backend.mode != "auto" or self._cpu_s_per_pixel is None or num_pixels < MIN_PIXELS:
+            return
+        if self._compared is not None:
+            # The picture was begun by another thread before the comparison.
             return
         cpu_s = self._cpu_s_per_pixel * num_pixels
         self._num_slow = self._num_slow + 1 if seconds > MAX_SLOWNESS * cpu_s else 0
@@ -142,23 +149,28 @@ class DeviceCaster:
             words = f"the graphics device has become slow: {1e3 * seconds:.0f} ms per image"
             self._stop_after_error(scene, RenderError(words, code=FAILED))
         elif len(self._slower) >= SLOWER_PICTURES:
-            self._compared = []
+            self._device_s_per_pixel = statistics.median(self._slower)
+            self._slower, self._compared = [], []
 
-    def _compare_again(self, seconds_per_pixel: float, compared: list[float]) -> None:
+    def _compare_again(self, seconds_per_pixel: float) -> None:
         """Add a picture of the CPU to the comparison, and decide after enough of them.
 
         These are pictures of the same flight as the device's. The measurement before the choice repeats one view, in
         which a device has every slope already.
         """
-        compared.append(seconds_per_pixel)
-        if len(compared) < COMPARED_PICTURES:
-            return
-        on_cpu, on_device = statistics.median(compared), statistics.median(self._slower)
-        self._compared, self._slower = None, []
-        if on_device < on_cpu:
-            self._cpu_s_per_pixel = on_cpu
-            return
-        self._adapter = self._resident = None
+        with self._lock:
+            compared = self._compared
+            if compared is None:
+                return
+            compared.append(seconds_per_pixel)
+            if len(compared) < COMPARED_PICTURES:
+                return
+            on_cpu, on_device = statistics.median(compared), self._device_s_per_pixel
+            self._compared = None
+            if on_device < on_cpu:
+                self._cpu_s_per_pixel = on_cpu
+                return
+            self._adapter = self._resident = None
         self._backend.report_unused(
             "the graphics device is no longer used for this volume, because it has become slower than the CPU: "
             f"{1e9 * on_device:.0f} ms for a million pixels, CPU {1e9 * on_cpu:.0f} ms"
@@ -170,7 +182,7 @@ class DeviceCaster:
         In ``auto``, start the measurement of the adapters after some pictures.
         """
         if self._compared is not None and view.width * view.height >= MIN_PIXELS:
-            self._compare_again(seconds / (view.width * view.height), self._compared)
+            self._compare_again(seconds / (view.width * view.height))
             return
         if self._backend.mode != "auto" or self._is_measured or view.width * view.height < MIN_PIXELS:
             return
@@ -188,7 +200,8 @@ class DeviceCaster:
             # The user has chosen anew, which permits a device that was given up.
             self._num_choices = self._backend.num_choices
             self._adapter, self._is_measured, self._num_seen = None, False, 0
-            self._compared, self._slower, self._unfit = None, [], None
+            self._compared, self._slower, self._unfit, self._resident = None, [], None, None
+            self._reported_shapes.clear()
         if mode == "cpu":
             # The memory of the device is released if the user has just chosen the CPU.
             self._resident = None
@@ -254,7 +267,8 @@ class DeviceCaster:
         """Stop using the device after an error, for the current values or for the rest of the process."""
         resident, self._resident = self._resident, None
         if error.code == LIMIT:
-            if self._unfit is not scene.values:
+            if scene.values.shape not in self._reported_shapes:
+                self._reported_shapes.add(scene.values.shape)
                 self._backend.report_unused(f"this volume is rendered on the CPU: {error}")
             self._unfit = scene.values
             return

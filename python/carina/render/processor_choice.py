@@ -112,7 +112,8 @@ class Backend:
         self._mode = mode
         self.num_choices = 0
         """Number of times that the user chose another processor."""
-        self._trouble: str | None = None
+        self._lost: str | None = None
+        self._unused: str | None = None
         self._listeners: list[Callable[[str], None]] = []
         self._record = record
         self._find = find
@@ -145,14 +146,14 @@ class Backend:
         """
         _check_mode(mode)
         with self._lock:
-            self._mode, self._trouble = mode, None
+            self._mode, self._lost, self._unused = mode, None, None
             self.num_choices += 1
             self._unusable.clear()
 
     @property
     def trouble(self) -> str | None:
         """Reason why the CPU renders although a graphics device was in use or is selected; None without a reason."""
-        return self._trouble
+        return self._lost or self._unused
 
     def subscribe(self, listener: Callable[[str], None]) -> None:
         """Call a function with the reason when a graphics device is given up; from any thread."""
@@ -180,15 +181,19 @@ class Backend:
             if adapter is not None:
                 self._unusable[adapter.index] = reason
                 self._opened.pop(adapter.index, None)
-            is_known, self._trouble = self._trouble is not None, self._trouble or reason
+            is_known, self._lost = self._lost is not None, self._lost or reason
         if not is_known:
             self._report(f"rendering on the CPU from now on: {reason}")
 
     def report_unused(self, reason: str) -> None:
-        """Report that the CPU renders although a graphics device was in use or is selected."""
+        """Report that the CPU renders one volume although a graphics device was in use or is selected."""
         with self._lock:
-            self._trouble = reason
+            self._unused = reason
         self._report(reason)
+
+    def clear_unused(self) -> None:
+        """Forget the reason of `report_unused`, because a graphics device has rendered a picture."""
+        self._unused = None
 
     def _report(self, words: str) -> None:
         log.warning("%s", words)

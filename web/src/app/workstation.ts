@@ -739,13 +739,20 @@ export class Workstation implements Station {
 
   /** Show the airway view alone on the whole screen, or leave the whole screen. */
   #toggleFullScreen(): void {
-    if (document.fullscreenElement !== null) {
+    // The element is undefined in browsers without the whole screen.
+    if ((document.fullscreenElement ?? null) !== null) {
       void document.exitFullscreen();
       return;
     }
+    if (this.state.ui.full === LEAD_VIEW) {
+      this.ui({ full: null });
+      return;
+    }
     this.ui({ full: LEAD_VIEW });
+    const page: { requestFullscreen?: () => Promise<void> } = document.documentElement;
     // The whole page is requested, because dialogs and lists are beside the airway view in the page.
-    document.documentElement.requestFullscreen?.().catch(() => {
+    const entered = page.requestFullscreen?.() ?? Promise.reject(new Error("no whole screen"));
+    entered.catch(() => {
       this.notice("The browser does not allow the whole screen here. The airway view fills the window instead.");
     });
   }
