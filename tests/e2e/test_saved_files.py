@@ -86,7 +86,11 @@ def test_header_of_each_view_saves_a_picture(opened, tmp_path, size):
     open_menu(page, "tree")
     assert page.get_by_test_id("picture-scale").is_disabled()
     page.keyboard.press("Escape")
+    # The menu returns the focus when it has closed, which would take it from the view.
+    page.get_by_test_id("picture-save").wait_for(state="detached")
+    opened.wait_for("document.activeElement === document.body || document.activeElement.closest('header') !== null")
     page.locator(".picture-host:has(canvas[data-view=coronal])").focus()
+    opened.wait_for("document.activeElement.classList.contains('picture-host')")
     by_key = download(page, tmp_path, lambda: page.keyboard.press("Shift+P"))
     assert by_key.name == "coronal.png"
     page.locator("[data-cell=axial] header").get_by_role("button", name="Full view").click()

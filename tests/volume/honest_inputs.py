@@ -188,7 +188,8 @@ OTHERWISE_READ: dict[str, dict[str, tuple[str, str]]] = {
             ("reads other positions", PARTED),
         ),
         "two breath-holds that overlap by four slices": ("reads other values", PARTED),
-        "a second kernel at some of the positions": ("reads other values", PARTED),
+        # dcm2niix depends on the order of the files in the folder.
+        "a second kernel at some of the positions": ("reads other values or reads other positions", PARTED),
         "one file, frames in any order": ("reads other positions", ENHANCED),
         "a different slope and intercept in every frame": ("reads other positions", ENHANCED),
         "a series of four files with five frames each": ("reads other positions", ENHANCED),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -100,10 +101,12 @@ def preview_series(
 
 
 def _number(image: Any) -> int:
-    try:
-        return int(image.get("InstanceNumber"))
-    except (TypeError, ValueError, OverflowError):
-        return 0
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # warnings of pydicom quote the value
+        try:
+            return int(image.get("InstanceNumber"))
+        except (TypeError, ValueError, OverflowError):
+            return 0
 
 
 def likeliest_series(

@@ -8,6 +8,7 @@ import logging
 import re
 import ssl
 import struct
+import warnings
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -146,7 +147,9 @@ class WebClient:
                 found = self._client.search_for_series(study, limit=limit, search_filters=filters, fields=fields)
             else:
                 found = self._all_instances(study, series, limit, watch)
-            return [Dataset.from_json(one) for one in found]
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")  # warnings of pydicom quote the value
+                return [Dataset.from_json(one) for one in found]
 
     def _all_instances(self, study: str, series: str, limit: int, watch: Watch) -> list[Any]:
         """Return all images of a series; a service may limit the number in one answer."""

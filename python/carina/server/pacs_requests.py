@@ -220,8 +220,11 @@ class PacsRequests:
 
         folder = retrieved_folder()
         make_folder(folder, what="the retrieved series", private=True)
-        # The name depends on the series, so that a repeated request continues, and contains no UID.
-        mark = hashlib.sha256(f"{_NAME} {message.study_uid} {message.series_uid}".encode()).hexdigest()[:20]
+        # The name depends on PACS and series, so that a repeated request continues, and contains no UID. Another
+        # PACS may have a de-identified copy with the same UIDs.
+        source = f"{_NAME} {message.name} {message.study_uid} {message.series_uid}"
+        mark = hashlib.sha256(source.encode()).hexdigest()[:20]
+        case_number = self._session.snapshot().case_number
         place = folder / f"series-{mark}"
         if not place.is_dir():
             retrieve_series(
@@ -233,6 +236,11 @@ class PacsRequests:
                 cancel=job.cancel,
             )
         job.check()
+        if self._session.snapshot().case_number != case_number:
+            window.send(
+                wire.Notice("The series was retrieved. Another case was opened meanwhile; open the series again.")
+            )
+            return
         self._session.do(OpenPath(str(place)), window=window.number)
 
     def _send(self, message: wire.SendPlanToPacs, window: Asker, job: Job) -> None:

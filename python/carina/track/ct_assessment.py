@@ -70,7 +70,7 @@ def assess_ct(volume: Volume, airways: Airways | None = None) -> CtAssessment:
     >>> import carina
     >>> made = carina.generate_phantom(spacing_mm=2.5, generations=3)
     >>> [finding.code for finding in carina.track.assess_ct(made.volume).findings]
-    ['spacing']
+    ['spacing', 'cut']
     """
     check_type("assess_ct", "volume", volume, Volume, "open a volume with carina.open_volume")
     if not volume.is_hu:

@@ -306,7 +306,8 @@ def _grown(mask: NDArray[np.bool_], spacing_zyx: tuple[float, ...], reach_mm: fl
 
 def _pair_sums(values: Floats, lags: list[int]) -> Floats:
     """Return the sums of the products of all pairs of values by their distance, (2c+1, 2b+1, 2a+1)."""
-    wide = [n + lag for n, lag in zip(values.shape, lags, strict=True)]
+    # Wide enough for all lags, also where a slab has fewer slices than the largest lag.
+    wide = [max(n + lag, 2 * lag + 1) for n, lag in zip(values.shape, lags, strict=True)]
     sums = np.fft.irfftn(np.abs(np.fft.rfftn(values, s=wide, axes=(0, 1, 2))) ** 2, s=wide, axes=(0, 1, 2))
     sums = np.roll(sums, lags, axis=(0, 1, 2))
     return np.asarray(sums[tuple(slice(0, 2 * lag + 1) for lag in lags)])

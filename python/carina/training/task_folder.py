@@ -41,7 +41,7 @@ class TaskFolder:
     --------
     >>> from carina.training import TaskFolder
     >>> TaskFolder("no-such-folder").read()
-    FolderTasks(tasks=(), problems=())
+    FolderTasks()
     """
 
     def __init__(self, folder: str | Path) -> None:

@@ -178,6 +178,8 @@ def _noise_hu(volume: Volume, lungs: CoarseLungs) -> float | None:
     """
     sz, sy, sx = lungs.strides_zyx
     lag = max(1, round(_LAG_MM / volume.spacing_mm[0]))
+    if lag >= volume.shape_zyx[2]:
+        return None
     is_tissue = (lungs.hu > _TISSUE_HU[0]) & (lungs.hu < _TISSUE_HU[1])
     differences = []
     for at in np.unique(np.linspace(0, len(lungs.hu) - 1, _NUM_PLANES).astype(int)):

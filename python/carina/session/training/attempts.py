@@ -426,7 +426,8 @@ class TrainingHandlers(CommandHandlers):
                 self._of(case).comparisons.pop(number, None)
                 self.core.changed("training")
 
-        return self.core.jobs.start("score", "scoring the flight", work)
+        # Each flight has a separate kind, because a job stops an earlier one of the same kind.
+        return self.core.jobs.start(f"score-{number}", "scoring the flight", work)
 
     def scored(
         self, case: OpenCase, airways: Airways, number: int, task: Task | None, job: Job

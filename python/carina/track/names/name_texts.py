@@ -12,6 +12,8 @@ MIRRORED = "track.mirrored"
 MIRRORED_CHEST = "mirrored"
 """First word of the variant of a trachea if the three-lobed lung is on the left."""
 
+ISOMERISM = "track.isomerism"
+"""Code of the permanent note on a tree in which both lungs have the pattern of the left one."""
 LEFT_ISOMERISM = "left isomerism"
 """First words of the variant of a trachea if both lungs have the pattern of the left one."""
 

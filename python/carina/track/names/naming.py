@@ -19,6 +19,7 @@ from carina.track.names.anatomy_model import LOBES, Grammar, grammar
 from carina.track.names.assignment import Solution, Solver
 from carina.track.names.letters import LetterRule, letter_order
 from carina.track.names.name_texts import (
+    ISOMERISM,
     LEFT_ISOMERISM,
     MIRRORED,
     MIRRORED_CHEST,
@@ -168,12 +169,14 @@ def _named_all(tree: AirwayTree, letter_rule: LetterRule, *, human_mirrored: boo
     read = _read(tree)
     names, notes = _names_of(read, letter_rule)
     given = {bare_name(b.name) for b in tree.branches if b.name_from == "person" and b.name is not None}
-    lasting = tuple(note for note in tree.notes if note.code not in (MISFIT, MIRRORED))
+    lasting = tuple(note for note in tree.notes if note.code not in (MISFIT, MIRRORED, ISOMERISM))
     if read.is_misfit and read.mirrored is not human_mirrored:
         names, notes = _names_of_misfit(names), {}
         lasting = (*lasting, misfit_note())
     elif read.mirrored:
         lasting = (*lasting, Note(MIRRORED, f"the airways are {notes[0]}", badge=True))
+    elif read.grammar.left_isomerism:
+        lasting = (*lasting, Note(ISOMERISM, f"the airways have a {notes[0]}", badge=True))
     made = []
     for number, branch in enumerate(tree.branches):
         if branch.name_from == "person":
@@ -345,10 +348,14 @@ def _read(tree: AirwayTree, *, judges_fit: bool = True) -> _Named:
         usual, rules = rules, grammar(left_isomerism=True)
         usual_constraints, (wishes, held) = (wishes, held), _constraints(rules, bronchi, given)
         other, solver = attempt(first)
-        # Both readings are compared in the same frame, which neither has refined.
+        is_likelier = False
+        # Both readings are compared in the frame that neither has refined, and again in the refined frame of each.
         if other > unrefined:
+            refined_score, refined_frame = refined(other, solver, first)
+            is_likelier = refined_score > score
+        if is_likelier:
             straight = other if first is not guess else attempt(np.eye(3))[0]
-            score, frame = refined(other, solver, first)
+            score, frame = refined_score, refined_frame
         else:
             rules, (wishes, held) = usual, usual_constraints
     # A weakly supported rotation is mostly noise and would change with every tip, so the frame turns by a share of it.
