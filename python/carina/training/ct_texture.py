@@ -25,9 +25,9 @@ SIDE_MM = 2.4
 """Distance in mm on both sides of an edge in which the CT must be homogeneous for the edge to be measured."""
 SIDE_SPREAD_HU = 90.0
 """Largest standard deviation in HU of one side of an edge, above that of the noise."""
-MAX_SLOPE_ACROSS, MAX_TILT_MM = 0.3, 0.2
-"""Largest slope across the axis of an edge, as a share of the slope along the axis, and largest shift of the edge in mm
-between neighbouring voxels across the axis.
+MAX_SLOPE_ACROSS = 0.3
+"""Largest slope across the axis of an edge as a share of the slope along it, and largest shift of the edge between
+neighbouring voxels across the axis, in voxels along the axis.
 
 The blur across thick slices widens the profile of an oblique edge in the slice.
 """
@@ -168,7 +168,7 @@ def _edge_profile(
     slopes = [np.gradient(np.moveaxis(soft, 2 - axis_ijk, -1), axis=n) for n in range(3)]
     order = [a for a in (2, 1, 0) if a != axis_ijk]
     slopes[0], slopes[1] = (slopes[n] * step / spacing_mm[a] for n, a in enumerate(order))
-    limits = [min(MAX_SLOPE_ACROSS, MAX_TILT_MM / spacing_mm[a]) for a in order]
+    limits = [MAX_SLOPE_ACROSS * min(1.0, step / spacing_mm[a]) for a in order]
     size = along.shape[-1]
     if size < 2 * half + 3:
         return np.empty(0), np.empty(0)
