@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 
 import numpy as np
 import pytest
@@ -99,7 +100,7 @@ def test_limits_of_the_printer_are_checked_with_a_remedy(chest, monkeypatch):
         printable_mould(*chest, build_mm=(90.0, 80.0, 60.0), progress=False)
     assert refused.value.code == "print.too-large"
     # No trachea of a chest is too thin for the limits of the option.
-    monkeypatch.setattr("carina.export.printable_mould.LEAST_RADIUS_MM", 20.0)
+    monkeypatch.setattr(sys.modules["carina.export.printable_mould"], "LEAST_RADIUS_MM", 20.0)
     with pytest.raises(UsageError, match="a finer printer") as refused:
         printable_mould(*chest, wall_mm=2.0, build_mm=(900.0,) * 3, progress=False)
     assert refused.value.code == "print.wall"

@@ -350,7 +350,7 @@ def test_device_picture_of_another_thread_does_not_disturb_the_comparison():
     assert fixture.fly(scene)[-1] == "gpu"
     fixture.device.ms["gpu"] = 15.0
     fixture.fly(scene, SLOWER_PICTURES)
-    picture = fixture.device.cast(scene, VIEW, object())
+    picture = fixture.device.cast(scene, VIEW, fixture.caster._resident.leaping)
     fixture.caster._count_device_picture(scene, picture, 1e-3)
     assert set(fixture.fly(scene, 2 * COMPARED_PICTURES)) == {"cpu"}
     assert "slower than the CPU" in fixture.backend.trouble

@@ -348,14 +348,10 @@ def _read(tree: AirwayTree, *, judges_fit: bool = True) -> _Named:
         usual, rules = rules, grammar(left_isomerism=True)
         usual_constraints, (wishes, held) = (wishes, held), _constraints(rules, bronchi, given)
         other, solver = attempt(first)
-        is_likelier = False
-        # Both readings are compared in the frame that neither has refined, and again in the refined frame of each.
+        # Both readings are compared in the same frame, which neither has refined.
         if other > unrefined:
-            refined_score, refined_frame = refined(other, solver, first)
-            is_likelier = refined_score > score
-        if is_likelier:
             straight = other if first is not guess else attempt(np.eye(3))[0]
-            score, frame = refined_score, refined_frame
+            score, frame = refined(other, solver, first)
         else:
             rules, (wishes, held) = usual, usual_constraints
     # A weakly supported rotation is mostly noise and would change with every tip, so the frame turns by a share of it.
