@@ -11,8 +11,10 @@ from enhanced_writer import chest_frames, enhanced
 from pydicom.dataset import Dataset
 
 from carina.errors import VolumeImportError
-from carina.volume import badges_of, inspect_path, open_volume
+from carina.volume import badges_of, inspect_path, open_volume, quality_gate
+from carina.volume.missing_slices import missing_levels
 from carina.volume.tilt_correction import TiltShifts
+from carina.volume.uneven_slices import UnevenSlices
 
 SPACING_MM = (0.7, 0.9)
 
@@ -256,8 +258,8 @@ def test_uneven_slices_have_the_values_of_the_scanned_object_on_an_even_grid(tmp
 
 def test_even_slices_follow_a_cubic_course_and_equal_measured_slices_at_their_positions(tmp_path):
     """A parabola along the stack is reproduced by parabolic slopes; at the ends the slopes are those of lines."""
-    heights_mm = np.concatenate([1.3 * np.arange(11), 13.0 + 2.6 * np.arange(1, 7), 29.0 + np.arange(6)])
-    curve = 2.0 * (heights_mm - 12.0) ** 2 - 500.0
+    heights_mm = np.concatenate([1.3 * np.arange(31), 39.0 + 2.6 * np.arange(1, 4), 47.2 + np.arange(6)])
+    curve = 2.0 * (heights_mm - 38.0) ** 2 - 500.0
     texture = np.random.default_rng(2).integers(-300, 300, (32, 32))
     hu = np.rint(curve[:, None, None] + texture).astype(np.int16)
     folder = series(
@@ -270,7 +272,7 @@ def test_even_slices_follow_a_cubic_course_and_equal_measured_slices_at_their_po
     assert at_mm[0] == pytest.approx(heights_mm[0])
     assert at_mm[-1] == pytest.approx(heights_mm[-1])
     inside = (at_mm > heights_mm[1]) & (at_mm < heights_mm[-2])
-    expected = 2.0 * (at_mm - 12.0) ** 2 - 500.0
+    expected = 2.0 * (at_mm - 38.0) ** 2 - 500.0
     # Rounding of the stored values to whole numbers, and the limit to the range of the neighbours at the turning point.
     np.testing.assert_allclose((volume.hu_zyx - texture)[inside], np.broadcast_to(
         expected[inside][:, None, None], (inside.sum(), 32, 32)), atol=3.6)  # fmt: skip
@@ -283,10 +285,10 @@ def test_even_slices_follow_a_cubic_course_and_equal_measured_slices_at_their_po
 
 
 def test_resampling_is_named_by_a_badge_with_numbers_and_in_the_inspection(tmp_path):
-    folder = uneven_series(tmp_path / "scan", [2.5] * 6 + [1.0] * 14)
+    folder = uneven_series(tmp_path / "scan", [2.5] * 2 + [1.0] * 34)
     (badge,) = badges_of(open_volume(folder))
     assert badge.code == "import.slices-resampled"
-    for text in ("1.00 to 2.50 mm apart", "the 21 slices", "after slice 1 to 6", "near slices 2, 4 to 5, 7"):
+    for text in ("1.00 to 2.50 mm apart", "the 37 slices", "after slice 1 to 2", "near slices 2, 4 to 5"):
         assert text in badge.words
     found = inspect_path(folder)
     assert [note.code for note in found.notes] == ["import.slices-resampled"]
@@ -296,8 +298,9 @@ def test_resampling_is_named_by_a_badge_with_numbers_and_in_the_inspection(tmp_p
 @pytest.mark.parametrize(
     ("gaps_mm", "text"),
     [
-        ([1.0] * 12 + [1.3] * 3 + [4.5] * 3, "at most 4 times the usual distance of 1.00 mm and 10 mm"),
-        ([4.0] * 12 + [5.5] * 3 + [10.5] * 3, "at most 4 times the usual distance of 4.00 mm and 10 mm"),
+        ([1.0] * 30 + [1.3] * 3 + [4.5], "at most 4 times the usual distance of 1.00 mm and 10 mm"),
+        ([4.0] * 12 + [5.5] * 3 + [10.5] * 3, "at most 4 times the usual distance of 5.50 mm and 10 mm"),
+        ([1.0] * 12 + [1.3] * 3 + [4.5] * 3, "at most 10 % of the slices are interpolated"),
         ([1.0] * 12 + [1.4, 0.15, 1.0, 1.0], "only 0.15 mm apart"),
         ([1.7, 0.8] * 10, "two distances alternate"),
         ([1.0, 1.0, 1.6], "at least 5 slices"),
@@ -307,6 +310,63 @@ def test_uneven_slices_that_are_not_resampled_are_refused_with_the_limit(tmp_pat
     error = refusal(uneven_series(tmp_path / "scan", gaps_mm))
     assert error.code == "import.geometry.irregular"
     assert text in str(error)
+
+
+@pytest.mark.parametrize(
+    ("parts", "spacing_mm"),
+    [
+        ([(60, 1.0), (150, 2.9)], 2.9),
+        ([(150, 2.9), (60, 1.0)], 2.9),
+        ([(80, 0.7), (100, 2.6)], 2.6),
+        ([(80, 1.0), (25, 1.4)], 1.4),
+        ([(50, 1.0), (50, 2.9)], 2.9),
+    ],
+)
+def test_even_distance_is_that_of_the_coarser_slices(parts, spacing_mm):
+    gaps_mm = np.concatenate([np.full(count, gap_mm) for count, gap_mm in parts])
+    uneven, reason = UnevenSlices.of(np.concatenate([[0.0], np.cumsum(gaps_mm)]))
+    assert reason == ""
+    # The last slice is on the grid, so the distance is wider by up to one part of the number of slices.
+    assert spacing_mm - 1e-6 <= uneven.even_mm < spacing_mm * (1.0 + 1.0 / (len(uneven.sources) - 1))
+    assert missing_levels(uneven.levels.tolist()) == ()
+
+
+def test_resampled_stack_states_no_finer_distance_than_nine_tenths_of_its_slices():
+    num_resampled = 0
+    for seed in range(60):
+        rng = np.random.default_rng(seed)
+        parts = [np.full(rng.integers(5, 60), rng.uniform(0.6, 3.0)) for _ in range(rng.integers(2, 5))]
+        gaps_mm = np.concatenate(parts)
+        uneven, _ = UnevenSlices.of(np.concatenate([[0.0], np.cumsum(gaps_mm)]))
+        if uneven is None:
+            continue
+        num_resampled += 1
+        assert len(missing_levels(uneven.levels.tolist())) <= 0.1 * len(uneven.sources)
+        # Wider distances than these miss slices, which are listed as interpolated.
+        narrow_mm = gaps_mm[gaps_mm < 1.7 * uneven.even_mm]
+        assert (narrow_mm > uneven.even_mm * (1.0 + 1e-6)).mean() <= 0.1, (seed, uneven.even_mm)
+    assert num_resampled >= 20
+
+
+@pytest.mark.parametrize("thick_mm", [5.0, 4.8], ids=["multiple", "no multiple"])
+def test_thin_slices_with_thick_ones_are_refused_and_the_named_even_part_opens(tmp_path, thick_mm):
+    folder = uneven_series(tmp_path / "scan", [1.25] * 110 + [thick_mm] * 40)
+    error = refusal(folder)
+    assert error.code == "import.geometry.irregular"
+    assert "at most 10 % of the slices are interpolated" in str(error)
+    assert "copy only slices 1 to 111 (IM000 to IM110), which are 1.25 mm apart, to a new folder" in str(error)
+    volume = open_volume(without(folder, *range(111, 151)))
+    assert volume.spacing_mm[2] == pytest.approx(1.25)
+    assert volume.shape_zyx[0] == 111
+    assert badges_of(volume) == ()
+
+
+def test_quality_gate_names_the_distance_of_the_coarser_slices(tmp_path):
+    volume = open_volume(uneven_series(tmp_path / "scan", [1.0] * 60 + [2.9] * 150))
+    assert volume.spacing_mm[2] == pytest.approx(2.9, rel=0.01)
+    assert volume.source.interpolated_slices == ()
+    (finding,) = (one for one in quality_gate(volume).findings if one.code == "spacing")
+    assert "slices are 2.9 mm apart" in finding.words
 
 
 def test_uneven_distance_between_two_reconstructions_is_refused(tmp_path):

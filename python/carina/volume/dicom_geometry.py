@@ -33,7 +33,7 @@ from carina.volume.digest import Geometry
 from carina.volume.missing_slices import fillable_levels, interpolated_note, missing_levels
 from carina.volume.model import Note
 from carina.volume.tilt_correction import MAX_TILT_DEG, TiltShifts
-from carina.volume.uneven_slices import UnevenSlices
+from carina.volume.uneven_slices import UnevenSlices, even_part
 
 MAX_CORNER_SHIFT_MM = 0.1
 
@@ -175,6 +175,13 @@ def _levels(
             return uneven.levels, uneven
         limit = limit or f"the slices on both sides of it differ in {setting}, so the stack is not resampled"
     because = f" ({limit})" if limit else ""
+    way_out = "copy the whole series again, or choose another series"
+    if (part := even_part(gaps)) is not None:
+        first, last = part
+        way_out += (
+            f", or copy only slices {first + 1} to {last + 1} ({ordered[first].file_name} to "
+            f"{ordered[last].file_name}), which are {np.median(gaps[first:last]):.2f} mm apart, to a new folder"
+        )
     if levels is not None:
         at = int(off.argmax())
         problem = (
@@ -194,7 +201,7 @@ def _levels(
         f"slice spacing is irregular: expected {expected:.2f} mm, found {gaps[at]:.2f} mm after slice {at + 1} of "
         f"{count} ({ordered[at].file_name}){more}{cause}{because}"
     )
-    raise _refuse(what, problem, "copy the whole series again, or choose another series", "import.geometry.irregular")
+    raise _refuse(what, problem, way_out, "import.geometry.irregular")
 
 
 def _setting_that_changes(gaps: NDArray[np.int64], ordered: Sequence[SliceHeader]) -> str:

@@ -2,8 +2,9 @@
 
 The even slices begin at the first and end at the last measured slice. Each is interpolated from the two measured slices
 on each side (backward mapping, cubic with the slopes of parabolas, limited to the range of the four values).
-Slices that are far from every measured one are listed as interpolated, so that the views mark them and no airway rests
-on them alone.
+Their distance is that of the coarser slices, because the quality gate, the plans and the measurements use the distance
+as the resolution of the CT. Slices that are far from every measured one are listed as interpolated, so that the views
+mark them and no airway rests on them alone; a stack with many such slices is refused.
 """
 
 from __future__ import annotations
@@ -15,7 +16,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from carina.volume.missing_slices import MAX_GAP_MM, MAX_MISSING_IN_GAP, missing_levels, named_slices
+from carina.volume.missing_slices import (
+    MAX_GAP_MM,
+    MAX_MISSING_IN_GAP,
+    MAX_MISSING_SHARE,
+    missing_levels,
+    named_slices,
+)
 from carina.volume.model import Note
 
 MIN_SLICES = 5
@@ -24,7 +31,8 @@ MAX_RATIO = MAX_MISSING_IN_GAP + 1.0
 """Largest distance of two measured slices, in distances of the even slices."""
 MIN_RATIO = 0.2
 """Smallest distance of two measured slices, in distances of the even slices; nearer slices are probably two scans."""
-_EVEN_QUANTILE = 0.25
+_GAP_RATIO = 1.75
+"""Distance, in distances of the even slices, from which slices are missing between two measured slices."""
 _NUM_ALTERNATING = 6
 _SAME_PLACE = 1e-3
 
@@ -42,8 +50,8 @@ class UnevenSlices:
     def of(cls, along_mm: NDArray[np.float64]) -> tuple[UnevenSlices | None, str]:
         """Return the places of slices on an even grid, or None and the reason why they cannot be resampled.
 
-        The even distance is the lower quartile of the measured distances, slightly changed so that the last measured
-        slice is on the grid.
+        The even distance is that of the coarser slices, slightly widened so that the last measured slice is on the
+        grid.
 
         Parameters
         ----------
@@ -52,8 +60,9 @@ class UnevenSlices:
         """
         gaps_mm = np.diff(along_mm)
         height_mm = float(along_mm[-1] - along_mm[0])
-        usual_mm = float(np.quantile(gaps_mm, _EVEN_QUANTILE, method="lower"))
-        num_steps = max(1, round(height_mm / usual_mm))
+        usual_mm = _coarser_mm(gaps_mm)
+        # Rounded down, so that the even slices are never nearer than the measured ones.
+        num_steps = max(1, math.floor(height_mm / usual_mm + 1e-6))
         even_mm = height_mm / num_steps
         if len(along_mm) < MIN_SLICES:
             return None, f"at least {MIN_SLICES} slices with uneven distances are resampled"
@@ -66,7 +75,11 @@ class UnevenSlices:
             return None, "two distances alternate, so the slices of two scans may be mixed"
         places = (along_mm - along_mm[0]) / even_mm
         places[-1] = num_steps
-        return cls(places, gaps_mm), ""
+        found = cls(places, gaps_mm)
+        if len(missing_levels(found.levels.tolist())) > MAX_MISSING_SHARE * (num_steps + 1):
+            limit = f"at most {100 * MAX_MISSING_SHARE:.0f} % of the slices are interpolated"
+            return None, f"{limit} between slices {usual_mm:.2f} mm apart"
+        return found, ""
 
     @property
     def even_mm(self) -> float:
@@ -155,12 +168,50 @@ class UnevenSlices:
         return Note("import.slices-resampled", words, badge=True)
 
 
+def even_part(gaps_mm: NDArray[np.float64]) -> tuple[int, int] | None:
+    """Return the first and the last slice of the longest part with even distances, or None.
+
+    The part has at least half of all slices, so that it can replace the stack.
+
+    Parameters
+    ----------
+    gaps_mm
+        (slices - 1,) distances of neighbouring slices.
+
+    Examples
+    --------
+    >>> even_part(np.array([1.25] * 110 + [5.0] * 40))
+    (0, 110)
+    """
+    first, best = 0, (0, 0)
+    for at, gap_mm in enumerate(gaps_mm):
+        if abs(gap_mm - gaps_mm[first]) > max(0.1 * gaps_mm[first], 0.06):
+            first = at
+        if at + 1 - first > best[1] - best[0]:
+            best = first, at + 1
+    num = best[1] - best[0] + 1
+    return best if num >= MIN_SLICES and 2 * num >= len(gaps_mm) + 1 else None
+
+
 def _slope(
     before: NDArray[np.float32], after: NDArray[np.float32], before_width: float, after_width: float
 ) -> NDArray[np.float32]:
     """Return the slope of the parabola through three slices at the middle one, from the slopes on its two sides."""
     whole = before_width + after_width
     return before * np.float32(after_width / whole) + after * np.float32(before_width / whole)
+
+
+def _coarser_mm(gaps_mm: NDArray[np.float64]) -> float:
+    """Return the distance of the coarser slices, which at most a tenth of the distances exceeds.
+
+    Distances that are large enough for a missing slice do not count; the share of interpolated slices limits them.
+    """
+    usual_mm, before_mm = float(np.median(gaps_mm)), 0.0
+    while usual_mm > before_mm:
+        before_mm = usual_mm
+        narrow_mm = gaps_mm[gaps_mm < _GAP_RATIO * usual_mm]
+        usual_mm = max(usual_mm, float(np.quantile(narrow_mm, 1.0 - MAX_MISSING_SHARE, method="higher")))
+    return usual_mm
 
 
 def _alternates(gaps_mm: NDArray[np.float64], usual_mm: float) -> bool:
