@@ -369,6 +369,19 @@ def test_quality_gate_names_the_distance_of_the_coarser_slices(tmp_path):
     assert "slices are 2.9 mm apart" in finding.words
 
 
+def test_uneven_slices_of_two_reconstructions_with_equal_distances_between_them_are_refused(tmp_path):
+    heights_mm = np.concatenate([[0.0], np.cumsum([2.5] * 12 + [1.5] * 7)])
+
+    def change(dataset: Dataset, index: int) -> None:
+        # The kernel changes between two slices with the usual distance.
+        dataset.ConvolutionKernel = ("B31f", "B70f")[index >= 6]
+        dataset.ImagePositionPatient = [-11.25, -14.5, float(heights_mm[index])]
+
+    error = refusal(series(tmp_path / "scan", change))
+    assert error.code == "import.geometry.irregular"
+    assert "neighbouring slices differ in reconstruction kernel" in str(error)
+
+
 def test_uneven_distance_between_two_reconstructions_is_refused(tmp_path):
     def change(dataset: Dataset, index: int) -> None:
         dataset.ConvolutionKernel = ("B31f", "B70f")[index >= 8]

@@ -171,9 +171,10 @@ def _levels(
             return levels, None
     if fills_gaps and not limit:
         uneven, limit = UnevenSlices.of(along_mm)
-        if uneven is not None and not (setting := _setting_that_changes(wrong, ordered)):
+        # The resampling interpolates in every gap, not only in those that differ from the usual one.
+        if uneven is not None and not (setting := _setting_that_changes(np.arange(count - 1), ordered)):
             return uneven.levels, uneven
-        limit = limit or f"the slices on both sides of it differ in {setting}, so the stack is not resampled"
+        limit = limit or f"neighbouring slices differ in {setting}, so the stack is not resampled"
     because = f" ({limit})" if limit else ""
     way_out = "copy the whole series again, or choose another series"
     if (part := even_part(gaps)) is not None:
