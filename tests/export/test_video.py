@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import errno
 import os
 import sys
@@ -10,9 +11,14 @@ import numpy as np
 import pytest
 
 import carina
+from carina.breathing import MOVED_TEXT, ChestDeformation
+from carina.display.dot_letters import with_text_lines
 from carina.errors import UsageError
 from carina.export import VideoWriter
 from carina.export.video import size_notes
+from carina.navigate.auto_flight import frame_times_s
+from carina.render.saved_picture import with_decoration_word
+from carina.volume.inserted_structures import PICTURE_TEXT, with_inserted
 
 pytest.importorskip("av", reason="PyAV is not installed")
 
@@ -160,3 +166,52 @@ def test_video_of_a_view_with_an_odd_size_is_rendered_at_an_even_size_with_a_not
     assert film.notes == ("the video has 66 x 50 pixels instead of 65 x 49: players need even numbers",)
     assert facts(film.path)[0] == ("h264", "yuv420p", "Main", (66, 50))
     assert film.notes[0] in film._repr_html_()
+
+
+MOVED = ChestDeformation(np.array([[1.0, 0, 0, 0], [0, 1.0, 0, 0], [0, 0, 0.8, -6.0], [0, 0, 0, 1.0]]))
+
+
+@pytest.mark.parametrize(
+    ("is_inserted", "deformation", "lines"),
+    [
+        (False, None, []),
+        (False, ChestDeformation(np.eye(4)), []),
+        (True, None, [PICTURE_TEXT]),
+        (False, MOVED, [MOVED_TEXT]),
+        (True, MOVED, [MOVED_TEXT, PICTURE_TEXT]),
+    ],
+)
+def test_frames_of_a_film_have_the_marks_of_the_ct_and_follow_its_deformation(
+    tmp_path, monkeypatch, is_inserted, deformation, lines
+):
+    volume = carina.generate_phantom(spacing_mm=3.0, generations=3).volume
+    if is_inserted:
+        source = with_inserted(volume.source, ["solid nodule, 8.0 mm, at 0.0 0.0 0.0"])
+        volume = dataclasses.replace(volume, source=source)
+    path = carina.FlightPath([[0.0, 0.0, 40.0], [0.0, 0.0, 30.0]])
+    view = carina.render.AirwayView(path.pose_at(0.0), width=240, height=96, deformation=deformation)
+    frames = []
+    monkeypatch.setattr(VideoWriter, "add", lambda _self, rgb: frames.append(rgb))
+    carina.write_film(tmp_path / "a.mp4", volume, path, view=view, rate_hz=2.0, speed_mm_s=10.0, progress=False)
+    renderer = carina.render.Renderer(volume)
+    flight = carina.navigate.AutoFlight(path, speed_mm_s=10.0, pause_s=0.0)
+    times_s = frame_times_s(flight.duration_s, 2.0)
+    assert len(times_s) >= 2
+    for frame, time_s in zip(frames, times_s, strict=True):
+        pose = flight.pose_at(float(time_s))
+        pose = pose if deformation is None else pose.carried_by(deformation)
+        picture = with_decoration_word(renderer.render(dataclasses.replace(view, pose=pose)))
+        np.testing.assert_array_equal(frame, with_text_lines(picture.rgb, lines))
+
+
+def test_decorated_frames_of_a_film_contain_the_word_decorated(tmp_path, monkeypatch):
+    volume = carina.generate_phantom(spacing_mm=3.0, generations=3).volume
+    path = carina.FlightPath([[0.0, 0.0, 40.0], [0.0, 0.0, 30.0]])
+    view = carina.render.AirwayView(path.pose_at(0.0), width=240, height=96)
+    frames = []
+    monkeypatch.setattr(VideoWriter, "add", lambda _self, rgb: frames.append(rgb))
+    carina.write_film(tmp_path / "a.mp4", volume, path, view=view, rate_hz=2.0, speed_mm_s=10.0, progress=False)
+    picture = carina.render.Renderer(volume).render(view)
+    assert picture.decorated
+    assert not np.array_equal(frames[0], picture.rgb)
+    np.testing.assert_array_equal(frames[0], with_decoration_word(picture).rgb)

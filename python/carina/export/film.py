@@ -13,7 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carina.argument_checks import check_arguments, file_path, function, instance, mask_array, number_from
+from carina.breathing import MOVED_TEXT
 from carina.display import one_line
+from carina.display.dot_letters import with_text_lines
 from carina.display.html import caption, escaped, figure
 from carina.display.progress import ProgressChoice, progress_function, shows_progress
 from carina.errors import CancelledError, check_type
@@ -21,8 +23,10 @@ from carina.export.video import VideoWriter, even_size, size_notes
 from carina.navigate import AutoFlight, FlightPath, KeyFrameFlight
 from carina.navigate.auto_flight import frame_times_s
 from carina.render import AirwayView, Renderer
+from carina.render.saved_picture import with_decoration_word
 from carina.track import AirwayTree
 from carina.volume import Volume
+from carina.volume.inserted_structures import picture_mark
 
 MAX_EMBEDDED_BYTES = 20_000_000
 """Largest size of a video that is embedded in a notebook; of a larger one only the name is shown."""
@@ -97,12 +101,13 @@ def write_film(
     path
         The video file, ``.mp4`` or ``.webm``. An existing file is replaced when the video is complete, or not at all.
     volume
-        The CT.
+        The CT. The frames of a CT with inserted nodules state that they are not the patient's.
     flight
         A path, which is flown at ``speed_mm_s``, or a flight that contains its times.
     view
         Settings of the frames, except the pose; 640 x 480, 100 degrees by default. An odd width or height becomes the
-        next even number, because players need even sizes (`Film.notes`).
+        next even number, because players need even sizes (`Film.notes`). A deformation of the chest carries the tip
+        along, and the frames contain the text *simulated breathing*.
     lumen_zyx
         The airway lumen, for the closed wall.
     tree
@@ -152,6 +157,8 @@ def write_film(
     width, height = even_size(look.width, look.height)
     look = dataclasses.replace(look, width=width, height=height)
     times = frame_times_s(flown.duration_s, rate_hz)
+    moved = None if look.lps_from_rest is None else MOVED_TEXT
+    lines = [line for line in (moved, picture_mark(volume.source)) if line is not None]
     with VideoWriter(path, look.width, look.height, rate_hz=rate_hz) as video:
         renderer = Renderer(volume)
         renderer.set_lumen(lumen_zyx, tree)
@@ -159,7 +166,11 @@ def write_film(
         for number, time_s in enumerate(times):
             if cancel is not None and cancel():
                 raise CancelledError("stopped while rendering the video")
-            video.add(renderer.render(dataclasses.replace(look, pose=flown.pose_at(float(time_s)))).rgb)
+            pose = flown.pose_at(float(time_s))
+            if look.deformation is not None:
+                pose = pose.carried_by(look.deformation)
+            rgb = with_decoration_word(renderer.render(dataclasses.replace(look, pose=pose))).rgb
+            video.add(with_text_lines(rgb, lines) if lines else rgb)
             if report is not None:
                 report("rendering frames", (number + 1) / len(times))
     return Film(Path(path).name, len(times), rate_hz, (width, height), Path(path).resolve(), notes)
