@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import permutations, product
+
 import numpy as np
 import pytest
 
@@ -89,3 +91,48 @@ def test_thick_slices_are_reported_as_uneven_spacing_and_masks_as_not_a_ct():
 def test_quality_check_of_a_tiny_volume_raises_no_error():
     quality = quality_gate(Volume(np.array([[[-1000, 0]], [[40, 3]]], dtype=np.int16), np.diag([5.0, 0.5, 0.7, 1.0])))
     assert quality.to_json()["findings"]
+
+
+def stored(volume: Volume, axes_zyx: tuple[int, ...], flips: tuple[bool, ...]) -> Volume:
+    """Return the same volume with other axes: permuted, then reversed."""
+    values = volume.hu_zyx.transpose(axes_zyx)[tuple(slice(None, None, -1 if flip else 1) for flip in flips)]
+    matrix = volume.lps_from_ijk.copy()
+    matrix[:3, :3] = volume.lps_from_ijk[:3, [2 - axis for axis in reversed(axes_zyx)]]
+    for axis, flip in enumerate(reversed(flips)):
+        if flip:
+            matrix[:3, 3] += (values.shape[2 - axis] - 1) * matrix[:3, axis]
+            matrix[:3, axis] *= -1
+    return Volume(np.ascontiguousarray(values), matrix)
+
+
+def test_quality_does_not_depend_on_the_order_of_the_axes_in_the_file():
+    # Cut at the bottom and thick along head-foot, so that findings about directions are part of the comparison.
+    whole = body()
+    cut = Volume(np.ascontiguousarray(whole.hu_zyx[30:]), whole.lps_from_ijk @ np.diag([1.0, 1.0, 1.2, 1.0]))
+    expected = quality_gate(cut)
+    assert {"cut", "spacing"} <= {finding.code for finding in expected.findings}
+    assert expected.body_mm is not None
+    assert expected.noise_hu is not None
+    for axes_zyx, flips in product(permutations(range(3)), product((False, True), repeat=3)):
+        assert quality_gate(stored(cut, axes_zyx, flips)) == expected, (axes_zyx, flips)
+
+
+def test_average_chest_in_coronal_slices_is_not_called_large():
+    x, y, z = (np.arange(-n, n + 1) * 4.0 for n in (50, 40, 50))
+    zz, yy, xx = np.meshgrid(z, y, x, indexing="ij")
+    hu = np.where((xx / 165) ** 2 + (yy / 115) ** 2 < 1, 40, -1000)
+    for side in (-1, 1):
+        hu[((xx - side * 75) / 60) ** 2 + (yy / 80) ** 2 + (zz / 130) ** 2 < 1] = -850
+    axial = Volume(hu.astype(np.int16), np.diag([4.0, 4.0, 4.0, 1.0]))
+    coronal = stored(axial, (1, 0, 2), (False, False, False))
+    # A circle with the area of the ellipse of 330 x 230 mm.
+    assert quality_gate(axial).body_mm == pytest.approx(np.sqrt(330.0 * 230.0), rel=0.03)
+    assert quality_gate(coronal).body_mm == quality_gate(axial).body_mm
+    assert "large-patient" not in codes(coronal)
+
+
+def test_thick_axial_slices_in_a_sagittal_file_are_called_slices():
+    volume = Volume(body().hu_zyx, np.diag([1.0, 1.0, 3.0, 1.0]))
+    sagittal = stored(volume, (2, 1, 0), (False, False, False))
+    (words,) = (finding.words for finding in quality_gate(sagittal).findings if finding.code == "spacing")
+    assert words.startswith("slices are 3.0 mm apart")

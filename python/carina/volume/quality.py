@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carina.display import one_line
+from carina.volume.digest import canonical_axes, canonical_geometry
 from carina.volume.mask_parts import numbered_parts, opened
 from carina.volume.model import Remark, Volume
 
@@ -123,7 +124,10 @@ def quality_gate(volume: Volume) -> Quality:
 
 
 def _judge(volume: Volume) -> Quality:
-    """Return the findings of the quality gate for a volume, without the cache."""
+    """Return the findings of the quality gate for a volume, without the cache.
+
+    Lungs, body and noise are judged in the canonical order of the axes, so that planes k are axial in every file.
+    """
     findings: list[Finding] = []
     if not volume.is_hu:
         findings.append(Finding("not-hu", f"not in Hounsfield units: {volume.not_hu_reason}"))
@@ -133,7 +137,7 @@ def _judge(volume: Volume) -> Quality:
     lungs = coarse_lungs(volume) if volume.is_hu else None
     noise_hu = None if lungs is None else _noise_hu(volume, lungs)
     generation = trusted_generation(volume.spacing_mm, noise_hu)
-    findings += _spacing_findings(volume.spacing_mm, generation)
+    findings += _spacing_findings(_canonical_spacing_mm(volume), generation)
     if lungs is None:
         return Quality(tuple(findings), generation, None)
     lung_hu = body_mm = None
@@ -177,14 +181,15 @@ def _noise_hu(volume: Volume, lungs: CoarseLungs) -> float | None:
     Noise of one slice is correlated over about a millimetre, and tissue is alike over a few.
     """
     sz, sy, sx = lungs.strides_zyx
-    lag = max(1, round(_LAG_MM / volume.spacing_mm[0]))
-    if lag >= volume.shape_zyx[2]:
+    lag = max(1, round(_LAG_MM / _canonical_spacing_mm(volume)[0]))
+    values = canonical_axes(volume.lps_from_ijk).view(volume.hu_zyx)
+    if lag >= values.shape[2]:
         return None
     is_tissue = (lungs.hu > _TISSUE_HU[0]) & (lungs.hu < _TISSUE_HU[1])
     differences = []
     for at in np.unique(np.linspace(0, len(lungs.hu) - 1, _NUM_PLANES).astype(int)):
         mask = np.repeat(np.repeat(is_tissue[at], sy, axis=0), sx, axis=1)
-        plane = volume.hu_zyx[at * sz][: mask.shape[0], : mask.shape[1]].astype(np.float32)
+        plane = values[at * sz][: mask.shape[0], : mask.shape[1]].astype(np.float32)
         both = mask[: plane.shape[0], lag : plane.shape[1]] & mask[: plane.shape[0], : plane.shape[1] - lag]
         differences.append((plane[:, lag:] - plane[:, : plane.shape[1] - lag])[both])
     found = np.concatenate(differences)
@@ -194,8 +199,8 @@ def _noise_hu(volume: Volume, lungs: CoarseLungs) -> float | None:
 
 
 def _body_mm(volume: Volume, lungs: CoarseLungs) -> float:
-    """Return the diameter of a circle with the median area of the body in the planes k with lung."""
-    columns = volume.lps_from_ijk[:3, :2] * lungs.strides_zyx[:0:-1]
+    """Return the diameter of a circle with the median area of the body in the axial planes with lung."""
+    columns = canonical_geometry(volume).lps_from_ijk[:3, :2] * lungs.strides_zyx[:0:-1]
     pixel_mm2 = float(np.linalg.norm(np.cross(columns[:, 0], columns[:, 1])))
     inside = (lungs.hu > _BODY_HU) | lungs.mask
     areas = inside[lungs.mask.any(axis=(1, 2))].sum(axis=(1, 2)) * pixel_mm2
@@ -206,7 +211,7 @@ def _contrast_l(volume: Volume, lungs: CoarseLungs) -> float:
     """Return the volume in litres of bright regions around cubes of 30 mm, which no bone contains."""
     bright = (lungs.hu > CONTRAST_HU[0]) & (lungs.hu < CONTRAST_HU[1])
     cores: NDArray[np.bool_] = bright
-    sizes_mm = np.array(volume.spacing_mm)[::-1] * lungs.strides_zyx
+    sizes_mm = np.array(_canonical_spacing_mm(volume))[::-1] * lungs.strides_zyx
     for axis, size_mm in enumerate(sizes_mm):
         reach = round(_CUBE_MM / 2 / size_mm)
         padded = np.pad(cores, [(reach, reach) if n == axis else (0, 0) for n in range(3)])
@@ -214,6 +219,13 @@ def _contrast_l(volume: Volume, lungs: CoarseLungs) -> float:
     parts = numbered_parts(bright)
     in_parts = np.isin(parts, np.unique(parts[cores])) if cores.any() else np.zeros_like(bright)
     return float(np.count_nonzero(in_parts & bright)) * float(np.prod(sizes_mm)) * 1e-6 if cores.any() else 0.0
+
+
+def _canonical_spacing_mm(volume: Volume) -> tuple[float, float, float]:
+    """Return the distances of voxel centres along L, P and S, mm."""
+    i, j, k = canonical_axes(volume.lps_from_ijk).axes_ijk
+    spacing_mm = volume.spacing_mm
+    return spacing_mm[i], spacing_mm[j], spacing_mm[k]
 
 
 def _spacing_findings(spacing_mm: tuple[float, float, float], generation: int) -> list[Finding]:
@@ -238,14 +250,14 @@ def _spacing_findings(spacing_mm: tuple[float, float, float], generation: int) -
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CoarseLungs:
-    """Means of blocks of about 4 mm, and the lungs among them."""
+    """Means of blocks of about 4 mm in canonical order of the axes, and the lungs among them."""
 
     hu: NDArray[np.float32]
     """(nz, ny, nx) mean of each block."""
     mask: NDArray[np.bool_]
     """(nz, ny, nx) True in the lungs."""
     strides_zyx: tuple[int, int, int]
-    """Number of voxels of a block on each axis."""
+    """Number of voxels of a block on each canonical axis."""
     litres: float
     """Volume of the lungs."""
     cut_faces: tuple[str, ...]
@@ -259,9 +271,9 @@ def coarse_lungs(volume: Volume) -> CoarseLungs:
     blankets are in it. The outside air also reaches the edges where two faces of the grid meet. A region that touches
     only a face may be lung, because cropped volumes cut the lungs too.
     """
-    strides = [max(1, int(4.0 / spacing)) for spacing in volume.spacing_mm]
+    strides = [max(1, int(4.0 / spacing)) for spacing in _canonical_spacing_mm(volume)]
     strides_zyx = (strides[2], strides[1], strides[0])
-    coarse = _block_means(volume.hu_zyx, strides_zyx)
+    coarse = _block_means(canonical_axes(volume.lps_from_ijk).view(volume.hu_zyx), strides_zyx)
     # Opened by one voxel, because noise and the thin layer between skin and air would connect the lungs to the outside.
     labels = numbered_parts(opened(coarse < _DARK_HU))
     voxel_l = abs(float(np.linalg.det(volume.lps_from_ijk[:3, :3]))) * 1e-6 * float(np.prod(strides))
@@ -275,7 +287,7 @@ def coarse_lungs(volume: Volume) -> CoarseLungs:
         outside = float(np.mean(coarse[region] < _PURE_AIR_HU)) > 0.25 and bool(np.any(region & edges))
         if not outside:
             lung |= region
-    columns = volume.lps_from_ijk[:3, :3] * strides
+    columns = canonical_geometry(volume).lps_from_ijk[:3, :3] * strides
     names = []
     for axis_ijk in range(3):
         first, second = (axis for axis in range(3) if axis != axis_ijk)
