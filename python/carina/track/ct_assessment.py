@@ -67,6 +67,8 @@ def assess_ct(volume: Volume, airways: Airways | None = None) -> CtAssessment:
 
     Examples
     --------
+    The grid of the phantom ends above the lower tips of its lungs.
+
     >>> import carina
     >>> made = carina.generate_phantom(spacing_mm=2.5, generations=3)
     >>> [finding.code for finding in carina.track.assess_ct(made.volume).findings]
