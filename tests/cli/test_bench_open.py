@@ -3,7 +3,11 @@
 from __future__ import annotations
 
 import json
+from types import SimpleNamespace
 
+import pytest
+
+from carina.errors import CancelledError
 from carina_bench import opening, opening_limits, opening_peers
 
 
@@ -40,3 +44,29 @@ def test_opening_benchmark_opens_a_small_chest_from_slices_and_from_the_cache_wi
         assert {"Carina", "SimpleITK", "pydicom"} <= set(one["cpu_over_carina"]), (syntax, one["left_out"])
     assert document["limits"]["listed_code"] == "import.no-images"
     assert document["limits"]["cancel_ms"] > 0
+
+
+class Importer:
+    """Import of 100 steps of 10 ms on a clock of its own, which checks for a cancellation after each n-th step."""
+
+    def __init__(self, monkeypatch, check_every: int) -> None:
+        self.now_s = 0.0
+        self.check_every = check_every
+        monkeypatch.setattr(opening_limits, "time", SimpleNamespace(perf_counter=lambda: self.now_s))
+        monkeypatch.setattr(opening_limits, "open_volume", self.open)
+
+    def open(self, _folder: object, *, cancel=lambda: False) -> None:
+        for step in range(100):
+            self.now_s += 0.01
+            if step % self.check_every == self.check_every - 1 and cancel():
+                raise CancelledError("stopped")
+
+
+@pytest.mark.parametrize(
+    ("check_every", "least_s", "most_s"),
+    [(1, 0.0, 0.011), (30, 0.2, 0.301), (1000, 0.95, 1.001)],
+    ids=["each step", "rarely", "ignored"],
+)
+def test_time_of_a_cancellation_includes_imports_that_ignore_it(monkeypatch, tmp_path, check_every, least_s, most_s):
+    Importer(monkeypatch, check_every)
+    assert least_s <= max(opening_limits._late_s(tmp_path)) <= most_s
