@@ -304,6 +304,7 @@ def test_resampling_is_named_by_a_badge_with_numbers_and_in_the_inspection(tmp_p
         ([1.0] * 12 + [1.4, 0.15, 1.0, 1.0], "only 0.15 mm apart"),
         ([1.7, 0.8] * 10, "two distances alternate"),
         ([1.0, 1.0, 1.6], "at least 5 slices"),
+        ([1.0, 9.9], "at least 5 slices"),
     ],
 )
 def test_uneven_slices_that_are_not_resampled_are_refused_with_the_limit(tmp_path, gaps_mm, text):
@@ -329,6 +330,19 @@ def test_even_distance_is_that_of_the_coarser_slices(parts, spacing_mm):
     # The last slice is on the grid, so the distance is wider by up to one part of the number of slices.
     assert spacing_mm - 1e-6 <= uneven.even_mm < spacing_mm * (1.0 + 1.0 / (len(uneven.sources) - 1))
     assert missing_levels(uneven.levels.tolist()) == ()
+
+
+@pytest.mark.parametrize(("num_even", "good"), [(84, True), (83, False)])
+def test_uneven_slices_are_resampled_up_to_a_tenth_of_interpolated_slices(num_even, good):
+    # Ten slices are interpolated: three in each distance of 4 mm, and one beside the slice between two even ones.
+    gaps_mm = [1.0] * num_even + [1.5] * 2 + [4.0] * 3
+    uneven, reason = UnevenSlices.of(np.concatenate([[0.0], np.cumsum(gaps_mm)]))
+    assert (uneven is not None) is good
+    if uneven is None:
+        assert "at most 10 % of the slices are interpolated" in reason
+    else:
+        assert uneven.even_mm == pytest.approx(1.0)
+        assert len(missing_levels(uneven.levels.tolist())) == 10
 
 
 def test_resampled_stack_states_no_finer_distance_than_nine_tenths_of_its_slices():

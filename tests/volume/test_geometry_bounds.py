@@ -97,13 +97,13 @@ def wide_gap(gap_mm: float, expected: float) -> list[SimpleNamespace]:
 
 
 def two_distances(usual: float, other: float) -> list[SimpleNamespace]:
-    """Return a stack whose last ten distances differ from the first twenty."""
-    return stack(heights(*[usual] * 20, *[usual * 1.3] * 3, *[other] * 10))
+    """Return a stack of even slices, then four other distances, which is less than the share that is interpolated."""
+    return stack(heights(*[usual] * 60, *[usual * 1.3] * 3, other))
 
 
 def short_distance(gap_mm: float) -> list[SimpleNamespace]:
     """Return a stack with a usual distance of 1 mm, some of 1.3 mm and one short one."""
-    return stack(heights(*[1.0] * 20, *[1.3] * 3, gap_mm, *[1.0] * 5))
+    return stack(heights(*[1.0] * 30, *[1.3] * 3, gap_mm, *[1.0] * 5))
 
 
 def sideways(shift_mm: float, spacing: tuple[float, float], axis: int = 0) -> list[SimpleNamespace]:

@@ -58,14 +58,14 @@ class UnevenSlices:
         along_mm
             (slices,) ascending positions along the normal.
         """
+        if len(along_mm) < MIN_SLICES:
+            return None, f"at least {MIN_SLICES} slices with uneven distances are resampled"
         gaps_mm = np.diff(along_mm)
         height_mm = float(along_mm[-1] - along_mm[0])
         usual_mm = _coarser_mm(gaps_mm)
         # Rounded down, so that the even slices are never nearer than the measured ones.
         num_steps = max(1, math.floor(height_mm / usual_mm + 1e-6))
         even_mm = height_mm / num_steps
-        if len(along_mm) < MIN_SLICES:
-            return None, f"at least {MIN_SLICES} slices with uneven distances are resampled"
         if gaps_mm.max() > min(MAX_RATIO * usual_mm, MAX_GAP_MM) + 1e-6:
             limit = f"{MAX_RATIO:g} times the usual distance of {usual_mm:.2f} mm and {MAX_GAP_MM:g} mm"
             return None, f"slices are resampled if their distances are at most {limit}"
@@ -204,13 +204,15 @@ def _slope(
 def _coarser_mm(gaps_mm: NDArray[np.float64]) -> float:
     """Return the distance of the coarser slices, which at most a tenth of the distances exceeds.
 
-    Distances that are large enough for a missing slice do not count; the share of interpolated slices limits them.
+    One distance may always exceed it, so that one displaced slice changes nothing in a small stack. Distances that are
+    large enough for a missing slice do not count; the share of interpolated slices limits them.
     """
     usual_mm, before_mm = float(np.median(gaps_mm)), 0.0
     while usual_mm > before_mm:
         before_mm = usual_mm
-        narrow_mm = gaps_mm[gaps_mm < _GAP_RATIO * usual_mm]
-        usual_mm = max(usual_mm, float(np.quantile(narrow_mm, 1.0 - MAX_MISSING_SHARE, method="higher")))
+        narrow_mm = np.sort(gaps_mm[gaps_mm < _GAP_RATIO * usual_mm])
+        num_wider = max(1, int(MAX_MISSING_SHARE * len(narrow_mm)))
+        usual_mm = max(usual_mm, float(narrow_mm[-1 - num_wider]))
     return usual_mm
 
 
