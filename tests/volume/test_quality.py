@@ -117,6 +117,12 @@ def test_quality_does_not_depend_on_the_order_of_the_axes_in_the_file():
         assert quality_gate(stored(cut, axes_zyx, flips)) == expected, (axes_zyx, flips)
 
 
+@pytest.mark.parametrize("axes_zyx", list(permutations(range(3))))
+def test_noise_of_a_grid_narrower_than_the_distance_of_compared_points_is_unknown(axes_zyx):
+    narrow = Volume(np.full((40, 40, 3), 40, dtype=np.int16), np.eye(4))
+    assert quality_gate(stored(narrow, axes_zyx, (False, False, False))).noise_hu is None
+
+
 def test_average_chest_in_coronal_slices_is_not_called_large():
     x, y, z = (np.arange(-n, n + 1) * 4.0 for n in (50, 40, 50))
     zz, yy, xx = np.meshgrid(z, y, x, indexing="ij")
