@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import os
 import sys
+from collections.abc import Iterator
+from pathlib import Path
 
-__all__ = ["Held", "try_lock"]
+__all__ = ["Held", "lock_file", "try_lock"]
+
+_MAX_TRIES = 100
 
 Held = bool | None
 """Result of :func:`try_lock`.
@@ -42,3 +47,48 @@ else:
             return True
         except OSError as error:
             return False if error.errno in {errno.EWOULDBLOCK, errno.EACCES} else None
+
+
+@contextlib.contextmanager
+def lock_file(path: Path) -> Iterator[bool]:
+    """Create and lock a file for the block, without waiting; yield False if another job or process holds the lock.
+
+    The file is deleted at the end of the block. On a file system without locks the result is True.
+
+    Raises
+    ------
+    OSError
+        If the file cannot be created.
+    """
+    descriptor = _lock_existing(path)
+    if descriptor is None:
+        yield False
+        return
+    try:
+        yield True
+    finally:
+        # The file is deleted before its lock is released, so that no process locks a file that then disappears.
+        with contextlib.suppress(OSError):
+            path.unlink()
+        os.close(descriptor)
+        if os.name == "nt":  # pragma: no cover - Windows does not delete an open file
+            with contextlib.suppress(OSError):
+                path.unlink()
+
+
+def _lock_existing(path: Path) -> int | None:
+    """Return the descriptor of a locked file that the folder contains; None if another job or process has locked it."""
+    for _ in range(_MAX_TRIES):
+        descriptor = os.open(path, os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0), 0o600)
+        held = try_lock(descriptor)
+        if held is None:
+            return descriptor
+        if held:
+            with contextlib.suppress(OSError):
+                if os.path.samestat(os.fstat(descriptor), path.lstat()):
+                    return descriptor
+            # The previous owner has just deleted this file, so a lock on it excludes no other process.
+        os.close(descriptor)
+        if not held:
+            return None
+    return None

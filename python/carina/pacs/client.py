@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 import re
-import warnings
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
 
 from pydicom.dataset import Dataset
-from pydicom.multival import MultiValue
 
-from carina.argument_checks import check_arguments, file_path, function, instance, text_of, whole_from
+from carina.argument_checks import check_arguments, file_path, flag, function, instance, text_of, whole_from
 from carina.display.progress import ProgressChoice, progress_function, shows_progress
 from carina.errors import PacsError, UsageError
+from carina.pacs.answer_values import text_list, text_value, whole_value, without_warnings
 from carina.pacs.connections import PacsConnection
 from carina.pacs.dimse_client import DimseClient
 from carina.pacs.limits import MAX_SERIES_IMAGES, too_large
@@ -115,13 +113,13 @@ def find_studies(
     found = client.find("STUDY", keys, limit=limit + 1, watch=watch)
     studies = [
         PacsStudy(
-            uid=_text(one, "StudyInstanceUID"),
-            patient_name=_text(one, "PatientName"),
-            patient_id=_text(one, "PatientID"),
-            date=_iso(_text(one, "StudyDate")),
-            description=_text(one, "StudyDescription"),
-            modalities=_list(one, "ModalitiesInStudy"),
-            num_series=_whole(one, "NumberOfStudyRelatedSeries"),
+            uid=text_value(one, "StudyInstanceUID"),
+            patient_name=text_value(one, "PatientName"),
+            patient_id=text_value(one, "PatientID"),
+            date=_iso(text_value(one, "StudyDate")),
+            description=text_value(one, "StudyDescription"),
+            modalities=text_list(one, "ModalitiesInStudy"),
+            num_series=whole_value(one, "NumberOfStudyRelatedSeries"),
         )
         for one in found[:limit]
     ]
@@ -158,12 +156,12 @@ def find_series(
     found = client_of(connection).find("SERIES", keys, limit=MAX_FILES, watch=Watch(None, cancel))
     series = [
         PacsSeries(
-            uid=_text(one, "SeriesInstanceUID"),
+            uid=text_value(one, "SeriesInstanceUID"),
             study_uid=study_uid,
-            modality=_text(one, "Modality"),
-            description=_text(one, "SeriesDescription"),
-            number=_whole(one, "SeriesNumber"),
-            num_images=_whole(one, "NumberOfSeriesRelatedInstances"),
+            modality=text_value(one, "Modality"),
+            description=text_value(one, "SeriesDescription"),
+            number=whole_value(one, "SeriesNumber"),
+            num_images=whole_value(one, "NumberOfSeriesRelatedInstances"),
         )
         for one in found
     ]
@@ -172,14 +170,16 @@ def find_series(
 
 @shows_progress
 @check_arguments(
-    connection=_connection, study_uid=text_of(64), series_uid=text_of(64), folder=file_path(), cancel=function
-)
+    connection=_connection, study_uid=text_of(64), series_uid=text_of(64), folder=file_path(), reuse=flag,
+    cancel=function,
+)  # fmt: skip
 def retrieve_series(
     connection: PacsConnection,
     study_uid: str,
     series_uid: str,
     folder: str | Path,
     *,
+    reuse: bool = False,
     progress: ProgressChoice = None,
     cancel: Callable[[], bool] | None = None,
 ) -> Retrieved:
@@ -195,7 +195,10 @@ def retrieve_series(
     study_uid, series_uid
         UIDs, from :func:`find_series`.
     folder
-        Folder to create; it must not exist.
+        Folder to create; without ``reuse`` it must not exist.
+    reuse
+        Whether the folder of an earlier retrieval is returned unchanged if it has exactly the images that the PACS
+        lists now. If the images differ, the series is retrieved again and replaces them.
     progress
         False, True or ``f(what, fraction)``. True or None shows a progress bar in a terminal or a notebook. The
         fraction is None where it is unknown.
@@ -205,8 +208,9 @@ def retrieve_series(
     Raises
     ------
     PacsError
-        If the PACS cannot be reached or refuses the request; ``pacs.incomplete``: some images did not arrive;
-        ``pacs.too-large``: the series exceeds a limit, and nothing was stored.
+        If the PACS cannot be reached or refuses the request; ``pacs.incomplete``: some images did not arrive, or the
+        PACS has shortened its list of images; ``pacs.too-large``: the series exceeds a limit, and nothing was stored;
+        ``pacs.busy``: another job or process retrieves into this folder.
     UsageError
         ``pacs.folder``: the folder exists.
     CancelledError
@@ -218,33 +222,26 @@ def retrieve_series(
         "StudyInstanceUID": _checked_uid(study_uid), "SeriesInstanceUID": _checked_uid(series_uid),
         "SOPInstanceUID": "",
     }  # fmt: skip
-    place = RetrievalFolder(Path(folder).expanduser().absolute(), series_uid)
-    try:
-        found = client.find("IMAGE", keys, limit=MAX_SERIES_IMAGES + 1, watch=watch)
-        images = list(dict.fromkeys(uid for one in found if (uid := _text(one, "SOPInstanceUID"))))
-        if not images:
-            raise PacsError(
-                f"{connection.name}: the PACS has no images of this series; search again", code="pacs.no-images"
-            )
-        if len(images) > MAX_SERIES_IMAGES:
-            raise too_large(connection.name, f"the series has more than {MAX_SERIES_IMAGES} images")
-        _check_count(connection, study_uid, series_uid, len(images), cancel)
-        resumed = sum(uid in place for uid in images)
-        client.retrieve(study_uid, series_uid, images, place, watch)
-        missing = sum(uid not in place for uid in images)
-        if missing:
-            raise PacsError(
-                f"{connection.name}: {missing} of {len(images)} images did not arrive; retrieve again to continue with "
-                "the missing images",
-                code="pacs.incomplete",
-            )
-        place.complete(images)
-    except PacsError as error:
-        if error.code == "pacs.too-large":
-            place.discard()  # the same request would fail again
-        raise
-    finally:
-        place.discard_if_empty()
+    with RetrievalFolder(Path(folder).expanduser().absolute(), series_uid, replaces=reuse) as place:
+        try:
+            found = client.find("IMAGE", keys, limit=MAX_SERIES_IMAGES + 1, watch=watch)
+            images = list(dict.fromkeys(uid for one in found if (uid := text_value(one, "SOPInstanceUID"))))
+            if not images:
+                raise PacsError(
+                    f"{connection.name}: the PACS has no images of this series; search again", code="pacs.no-images"
+                )
+            if len(images) > MAX_SERIES_IMAGES:
+                raise too_large(connection.name, f"the series has more than {MAX_SERIES_IMAGES} images")
+            _check_list(connection, study_uid, series_uid, len(images), cancel, is_shortened=client.is_shortened)
+            if place.is_up_to_date(images):
+                return Retrieved(place.target, len(images), len(images))
+            resumed = sum(uid in place for uid in images)
+            client.retrieve(study_uid, series_uid, images, place, watch)
+            place.complete(images)
+        except PacsError as error:
+            if error.code == "pacs.too-large":
+                place.discard()  # the same request would fail again
+            raise
     return Retrieved(place.target, len(images), resumed)
 
 
@@ -289,13 +286,25 @@ def store_files(
     return Stored(stored, tuple(refused))
 
 
-def _check_count(
-    connection: PacsConnection, study_uid: str, series_uid: str, num_listed: int, cancel: Callable[[], bool] | None
+def _check_list(
+    connection: PacsConnection,
+    study_uid: str,
+    series_uid: str,
+    num_listed: int,
+    cancel: Callable[[], bool] | None,
+    *,
+    is_shortened: bool,
 ) -> None:
     """Refuse a list of images that the PACS has shortened, because a part of a series would open as the whole."""
     stated = next(
         (one.num_images for one in find_series(connection, study_uid, cancel=cancel) if one.uid == series_uid), None
     )
+    if stated is None and is_shortened:
+        raise PacsError(
+            f"{connection.name}: the PACS lists only the first {num_listed} images of this series; ask its "
+            "administrator to raise the limit of search results",
+            code="pacs.incomplete",
+        )
     if stated is not None and stated > num_listed:
         raise PacsError(
             f"{connection.name}: the PACS lists only {num_listed} of {stated} images of this series; ask its "
@@ -309,9 +318,12 @@ def _sendable(path: Path) -> Dataset:
         if not looks_like_dicom(path):
             raise ValueError
         dataset = read_dataset(path, pixels=True)
-        complete = (
-            dataset.get("SOPClassUID") and dataset.get("SOPInstanceUID") and "TransferSyntaxUID" in dataset.file_meta
-        )
+        with without_warnings():
+            complete = (
+                dataset.get("SOPClassUID")
+                and dataset.get("SOPInstanceUID")
+                and "TransferSyntaxUID" in dataset.file_meta
+            )
     except (ValueError, AttributeError):
         complete = False
     if not complete:
@@ -335,40 +347,6 @@ def _date_range(date: str) -> str:
     if len(parts) > 2 or None in parts:
         raise UsageError(f"date: expected 2026-11-30 or 2026-11-01..2026-11-30; found {date!r}", code="usage.pacs")
     return "-".join("".join(part.groups()) for part in parts if part is not None)
-
-
-def _value(dataset: Dataset, keyword: str) -> Any:
-    """Return a value of an answer; None if it is missing or damaged."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # warnings of pydicom quote the value
-        try:
-            value = dataset.get(keyword)
-        except Exception:
-            return None  # pydicom raises various errors for a damaged value
-    return None if value == "" else value
-
-
-def _printable(value: Any, length: int) -> str:
-    return "".join(c for c in str(value) if c.isprintable()).strip()[:length]
-
-
-def _text(dataset: Dataset, keyword: str) -> str:
-    value = _value(dataset, keyword)
-    return "" if value is None else _printable(value, 128)
-
-
-def _list(dataset: Dataset, keyword: str) -> tuple[str, ...]:
-    value = _value(dataset, keyword)
-    if value is None:
-        return ()
-    return tuple(_printable(one, 16) for one in (value if isinstance(value, MultiValue) else [value]))
-
-
-def _whole(dataset: Dataset, keyword: str) -> int | None:
-    try:
-        return int(_value(dataset, keyword))
-    except (TypeError, ValueError, OverflowError):
-        return None
 
 
 def _iso(date: str) -> str:

@@ -125,7 +125,7 @@ class Retrieved:
     folder: Path
     num_retrieved: int
     num_resumed: int
-    """Number of images that an earlier, interrupted retrieval had already stored."""
+    """Number of images that an earlier retrieval had already stored."""
 
     def to_json(self) -> dict[str, Any]:
         """Return the result as plain JSON types."""

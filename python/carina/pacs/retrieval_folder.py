@@ -1,15 +1,19 @@
 """Folder of a retrieval: images are collected in a hidden folder that gets its name only when the series is complete.
 
-An interrupted retrieval therefore never opens as a whole series, and continues with the images that are missing.
+An interrupted retrieval therefore never opens as a whole series, and continues with the images that are missing. A lock
+file beside the folder excludes other jobs and processes.
 """
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import os
+import re
 import shutil
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
+from typing import Self
 
 from pydicom.dataset import FileMetaDataset
 from pydicom.filebase import DicomBytesIO
@@ -17,42 +21,70 @@ from pydicom.filewriter import write_file_meta_info
 from pydicom.uid import PYDICOM_IMPLEMENTATION_UID, UID
 
 from carina.disk import disk_trouble, make_folder, sync_folder, write_whole
+from carina.disk.locks import lock_file
 from carina.errors import PacsError, UsageError
 from carina.pacs.limits import MAX_IMAGE_BYTES, MAX_SERIES_BYTES, too_large
 
-__all__ = ["RetrievalFolder", "part10"]
+__all__ = ["RetrievalFolder", "delete_retrieved", "part10"]
 
 _MIN_FREE_BYTES = 512 << 20
+_IMAGE = re.compile(r"[0-9a-f]{32}\.dcm")
+_HIDDEN = re.compile(r"\.(?P<target>.+?)(\.[0-9a-f]{12}\.(incomplete|replaced)|\.lock)")
 
 
 class RetrievalFolder:
-    """The images of one series that have arrived.
+    """The images of one series that have arrived; a context manager that holds the lock of the folder.
 
     Parameters
     ----------
     folder
-        Folder to create when the series is complete; it must not exist.
+        Folder to create when the series is complete.
     series_uid
         UID of the series; the hidden folder of another series is not continued.
     max_image_bytes
         Largest image.
+    replaces
+        Whether the folder may exist; its images are then replaced when the series is complete.
 
     Raises
     ------
     UsageError
-        ``pacs.folder``: the folder exists.
+        ``pacs.folder``: the folder exists, at the begin of the block.
+    PacsError
+        ``pacs.busy``: another job or process holds the lock, at the begin of the block.
     """
 
-    def __init__(self, folder: Path, series_uid: str, *, max_image_bytes: int = MAX_IMAGE_BYTES) -> None:
-        if os.path.lexists(folder):
-            raise UsageError(f"pacs: {folder} exists; name a new folder", code="pacs.folder")
+    def __init__(
+        self, folder: Path, series_uid: str, *, max_image_bytes: int = MAX_IMAGE_BYTES, replaces: bool = False
+    ) -> None:
         self.target = folder
         self.max_image_bytes = max_image_bytes
+        self._replaces = replaces
         mark = hashlib.sha256(series_uid.encode()).hexdigest()[:12]
         self._part = folder.with_name(f".{folder.name[:80]}.{mark}.incomplete")
-        make_folder(self._part, what="the images", private=True)
-        self._names = {path.name for path in self._part.iterdir() if path.suffix == ".dcm"}
-        self._num_bytes = sum((self._part / name).stat().st_size for name in self._names)
+        self._replaced = folder.with_name(f".{folder.name[:80]}.{mark}.replaced")
+        self._names: set[str] = set()
+        self._num_bytes = 0
+        self._lock = contextlib.ExitStack()
+
+    def __enter__(self) -> Self:
+        """Take the lock, and find the images of an interrupted retrieval."""
+        with contextlib.ExitStack() as stack:
+            stack.enter_context(_locked(self.target))
+            is_folder = self.target.is_dir() and not self.target.is_symlink()
+            if os.path.lexists(self.target) and not (self._replaces and is_folder):
+                raise UsageError(f"pacs: {self.target} exists; name a new folder", code="pacs.folder")
+            make_folder(self._part, what="the images", private=True)
+            self._names = _images_in(self._part)
+            self._num_bytes = sum((self._part / name).stat().st_size for name in self._names)
+            self._lock = stack.pop_all()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Remove the hidden folder if no image has arrived, and release the lock."""
+        with self._lock:
+            if not _images_in(self._part):
+                self.discard()
 
     @staticmethod
     def _name(sop_uid: str) -> str:
@@ -65,6 +97,10 @@ class RetrievalFolder:
     def __len__(self) -> int:
         """Return the number of images that have arrived."""
         return len(self._names)
+
+    def is_up_to_date(self, images: Iterable[str]) -> bool:
+        """Return whether the folder exists and its images on the disk are those with these UIDs, and no others."""
+        return _images_in(self.target) == set(map(self._name, images))
 
     def add(self, sop_uid: str, content: bytes) -> None:
         """Store an image; it is complete on the disk or absent.
@@ -91,27 +127,123 @@ class RetrievalFolder:
     def complete(self, images: Iterable[str]) -> None:
         """Give the folder its name; images of an earlier retrieval that the PACS no longer lists are deleted.
 
+        The files on the disk decide whether the series is complete.
+
         Raises
         ------
+        PacsError
+            ``pacs.incomplete``: an image is missing.
         DiskError
             If the folder cannot be renamed.
         """
+        wanted = set(map(self._name, images))
+        missing = wanted - _images_in(self._part)
+        if missing:
+            raise PacsError(
+                f"retrieving the series: {len(missing)} of {len(wanted)} images did not arrive; retrieve again to "
+                "continue with the missing images",
+                code="pacs.incomplete",
+            )
         try:
-            for name in self._names - set(map(self._name, images)):
-                (self._part / name).unlink()
-            self._part.rename(self.target)
+            for path in self._part.iterdir():
+                if path.name not in wanted:
+                    path.unlink()
+            self._place()
             sync_folder(self.target.parent)
         except OSError as error:
             raise disk_trouble(error, "cannot create the folder", self.target) from None
+
+    def _place(self) -> None:
+        """Rename the hidden folder to its name, in place of an existing folder; files of the user stay in it."""
+        if not os.path.lexists(self.target):
+            self._part.rename(self.target)
+            return
+        shutil.rmtree(self._replaced, ignore_errors=True)
+        self.target.rename(self._replaced)
+        try:
+            self._part.rename(self.target)
+        except OSError:
+            self._replaced.rename(self.target)
+            raise
+        for path in self._replaced.iterdir():
+            if not _IMAGE.fullmatch(path.name):
+                path.rename(self.target / path.name)
+        shutil.rmtree(self._replaced, ignore_errors=True)
 
     def discard(self) -> None:
         """Remove the hidden folder with all images."""
         shutil.rmtree(self._part, ignore_errors=True)
 
-    def discard_if_empty(self) -> None:
-        """Remove the hidden folder if no image has arrived."""
-        if not self._names:
-            self.discard()
+
+def delete_retrieved(folder: Path, check: Callable[[], None]) -> None:
+    """Delete every series in the folder of the retrieved series, complete or not.
+
+    Parameters
+    ----------
+    folder
+        Folder of the retrieved series; it may be missing.
+    check
+        Called before each deletion, while the lock of the series is held; it raises an error if a job uses a series.
+
+    Raises
+    ------
+    PacsError
+        ``pacs.busy``: another job or process retrieves a series; the series before it have been deleted.
+    DiskError
+        If a folder cannot be deleted.
+    """
+    try:
+        entries = sorted(folder.iterdir())
+    except FileNotFoundError:
+        return
+    except OSError as error:
+        raise disk_trouble(error, "cannot delete the retrieved series", folder) from error
+    for path in entries:
+        hidden = _HIDDEN.fullmatch(path.name)
+        with _locked(folder / (path.name if hidden is None else hidden["target"])):
+            check()
+            if path.suffix == ".lock":
+                continue  # the end of the block deletes this file
+            try:
+                if path.is_dir() and not path.is_symlink():
+                    shutil.rmtree(path)
+                else:
+                    path.unlink(missing_ok=True)
+            except OSError as error:
+                raise disk_trouble(error, "cannot delete the retrieved series", path) from error
+
+
+@contextlib.contextmanager
+def _locked(target: Path) -> Iterator[None]:
+    """Hold the lock of a retrieval folder during the block.
+
+    Raises
+    ------
+    PacsError
+        ``pacs.busy``: another job or process holds the lock.
+    DiskError
+        If the lock file cannot be created.
+    """
+    make_folder(target.parent, what="the images", private=True)
+    with contextlib.ExitStack() as stack:
+        try:
+            is_held = stack.enter_context(lock_file(target.with_name(f".{target.name[:80]}.lock")))
+        except OSError as error:
+            raise disk_trouble(error, "cannot lock the folder", target) from error
+        if not is_held:
+            raise PacsError(
+                "another job of Carina retrieves or deletes this series; wait until that job has ended, then try again",
+                code="pacs.busy",
+            )
+        yield
+
+
+def _images_in(folder: Path) -> set[str]:
+    """Return the names of the images on the disk; none if the folder is missing."""
+    try:
+        return {path.name for path in folder.iterdir() if _IMAGE.fullmatch(path.name)}
+    except (FileNotFoundError, NotADirectoryError):
+        return set()
 
 
 def part10(sop_class: str, sop_uid: str, syntax: str, dataset: bytes) -> bytes:

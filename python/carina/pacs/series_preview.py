@@ -7,11 +7,11 @@ import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 from carina.disk import scratch_folder
 from carina.display import one_line
 from carina.errors import PacsError
+from carina.pacs.answer_values import text_value, whole_value
 from carina.pacs.client import client_of
 from carina.pacs.connections import PacsConnection
 from carina.pacs.limits import MAX_PREVIEW_BYTES, MAX_SERIES_IMAGES
@@ -74,22 +74,23 @@ def preview_series(
         "InstanceNumber": "",
     }  # fmt: skip
     found = client.find("IMAGE", keys, limit=MAX_SERIES_IMAGES, watch=watch)
-    images = sorted((_number(one), str(one.get("SOPInstanceUID", ""))) for one in found)
+    images = sorted((whole_value(one, "InstanceNumber") or 0, text_value(one, "SOPInstanceUID")) for one in found)
     images = [image for image in images if image[1]]
     if not images:
         return SeriesPreview()
     middle = images[len(images) // 2][1]
     with scratch_folder() as folder:
         place = RetrievalFolder(Path(folder) / "image", series.uid, max_image_bytes=MAX_PREVIEW_BYTES)
-        try:
-            client.retrieve(series.study_uid, series.uid, [middle], place, watch, are_all=len(images) == 1)
-        except PacsError as error:
-            if error.code == "pacs.too-large":
+        with place:
+            try:
+                client.retrieve(series.study_uid, series.uid, [middle], place, watch, are_all=len(images) == 1)
+            except PacsError as error:
+                if error.code == "pacs.too-large":
+                    return SeriesPreview()
+                raise
+            if middle not in place:
                 return SeriesPreview()
-            raise
-        if middle not in place:
-            return SeriesPreview()
-        place.complete([middle])
+            place.complete([middle])
         content = read_folder(place.target, recursive=False, watch=watch)
         if not content.headers:
             return SeriesPreview()
@@ -98,15 +99,6 @@ def preview_series(
             info=one.info,
             picture=slice_picture(one.slices[len(one.slices) // 2]),
         )
-
-
-def _number(image: Any) -> int:
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # warnings of pydicom quote the value
-        try:
-            return int(image.get("InstanceNumber"))
-        except (TypeError, ValueError, OverflowError):
-            return 0
 
 
 def likeliest_series(

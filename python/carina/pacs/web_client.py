@@ -16,6 +16,7 @@ from typing import Any
 from pydicom.dataset import Dataset
 
 from carina.errors import CarinaError, PacsError
+from carina.pacs.answer_values import text_value, value_of, whole_value, without_warnings
 from carina.pacs.connections import PacsConnection
 from carina.pacs.limits import MAX_ANSWER_BYTES, too_large
 from carina.pacs.reasons import certificate_error, missing_library, offline
@@ -147,8 +148,7 @@ class WebClient:
                 found = self._client.search_for_series(study, limit=limit, search_filters=filters, fields=fields)
             else:
                 found = self._all_instances(study, series, limit, watch)
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore")  # warnings of pydicom quote the value
+            with without_warnings():
                 return [Dataset.from_json(one) for one in found]
 
     def _all_instances(self, study: str, series: str, limit: int, watch: Watch) -> list[Any]:
@@ -156,6 +156,8 @@ class WebClient:
         found: dict[str, Any] = {}
         while len(found) < limit:
             watch.step("Searching the PACS")
+            # Only the last page decides whether images are missing; each page before it states that there are more.
+            self.is_shortened = False
             page = self._client.search_for_instances(study, series, limit=min(limit, 1000), offset=len(found))
             new = {str(one["00080018"]["Value"][0]): one for one in page}
             if not new.keys() - found.keys():
@@ -183,10 +185,10 @@ class WebClient:
                 image = self._client.retrieve_instance(
                     study_uid, series_uid, uid, media_types=(("application/dicom", "*"),)
                 )
-            if str(image.get("SeriesInstanceUID")) != series_uid or str(image.get("SOPInstanceUID")) != uid:
+            if text_value(image, "SeriesInstanceUID") != series_uid or text_value(image, "SOPInstanceUID") != uid:
                 raise PacsError(f"{self.name}: the PACS sent another image than requested", code="pacs.refused")
             buffer = io.BytesIO()
-            with self._request():
+            with self._request(), without_warnings():
                 image.save_as(buffer, enforce_file_format=True)
             folder.add(uid, buffer.getvalue())
 
@@ -195,11 +197,13 @@ class WebClient:
         refused: list[tuple[str, str]] = []
         for index, (path, dataset) in enumerate(files):
             watch.step("Sending to the PACS", index / len(files))
-            with self._request():
+            # The library parses the answer in this call, and pydicom quotes invalid values of it.
+            with self._request(), without_warnings():
                 answer = self._client.store_instances([dataset])
-            if answer.get("FailedSOPSequence"):
-                code = answer.FailedSOPSequence[0].get("FailureReason") or 0
-                refused.append((path.name, f"the PACS did not store it (status {int(code):04X})"))
+            failed = value_of(answer, "FailedSOPSequence")
+            if failed:
+                code = whole_value(failed[0], "FailureReason") or 0
+                refused.append((path.name, f"the PACS did not store it (status {code:04X})"))
         return len(files) - len(refused), refused
 
 
