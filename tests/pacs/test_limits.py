@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import socket
 from types import SimpleNamespace
 
@@ -9,6 +10,8 @@ import numpy as np
 import pytest
 from dicom_writer import series
 from orthanc_server import PLUGIN, free_port, require_orthanc, running_orthanc
+from pydicom.dataset import Dataset, FileMetaDataset
+from pydicom.uid import ImplicitVRLittleEndian
 
 from carina.errors import CancelledError, PacsError
 from carina.pacs import PacsConnection, find_series, find_studies, likeliest_series, preview_series, retrieve_series
@@ -90,11 +93,11 @@ def test_image_with_too_many_bytes_ends_the_retrieval_before_it_is_complete(conn
     keys = {"StudyInstanceUID": "1.2.3.4.7", "SeriesInstanceUID": LARGE, "SOPInstanceUID": ""}
     found = client.find("IMAGE", keys, limit=99, watch=watch)
     images = [str(one.SOPInstanceUID) for one in found]
-    place = RetrievalFolder(tmp_path / "scan", LARGE, max_image_bytes=12_000)
-    with pytest.raises(PacsError) as refused:
-        client.retrieve("1.2.3.4.7", LARGE, images, place, watch)
-    assert refused.value.code == "pacs.too-large"
-    assert len(place) == 0
+    with RetrievalFolder(tmp_path / "scan", LARGE, max_image_bytes=12_000) as place:
+        with pytest.raises(PacsError) as refused:
+            client.retrieve("1.2.3.4.7", LARGE, images, place, watch)
+        assert refused.value.code == "pacs.too-large"
+        assert len(place) == 0
 
 
 def test_cancellation_ends_a_web_answer_while_it_arrives(tmp_path, orthanc):
@@ -154,8 +157,9 @@ def test_listener_accepts_only_the_ae_titles_of_the_connection(tmp_path):
     port = free_port()
     connection = PacsConnection("test", host="127.0.0.1", called_ae="PACS", calling_ae="CARINA", listen_port=port)
     client = DimseClient(connection)
-    receiver = _Receiver("test", SERIES, RetrievalFolder(tmp_path / "scan", SERIES), frozenset(), Watch(None, None))
-    with client._listener(receiver):
+    folder = RetrievalFolder(tmp_path / "scan", SERIES)
+    receiver = _Receiver("test", SERIES, folder, frozenset(), Watch(None, None))
+    with folder, client._listener(receiver):
         for calling, called, accepted in (
             ("PACS", "CARINA", True),
             ("EVIL", "CARINA", False),
@@ -170,6 +174,64 @@ def test_listener_accepts_only_the_ae_titles_of_the_connection(tmp_path):
     error = client._failed(0xA702, "EVIL")
     assert error.code == "pacs.ae-title"
     assert "AE title EVIL tried to send images" in str(error)
+
+
+def send_claim(port, num_bytes):
+    """Send a damaged request with a number of bytes, before any AE title, and wait until the listener has read it."""
+    with socket.create_connection(("127.0.0.1", port), timeout=20) as other, contextlib.suppress(ConnectionResetError):
+        other.sendall(b"\x01\x00" + num_bytes.to_bytes(4, "big") + bytes(num_bytes))
+        while other.recv(100):
+            pass
+
+
+def image_of(num_bytes):
+    image = Dataset()
+    image.SOPClassUID, image.SOPInstanceUID, image.SeriesInstanceUID = CT_IMAGE, "1.2.3.1", SERIES
+    image.add_new("PixelData", "OW", bytes(num_bytes))
+    image.file_meta = FileMetaDataset()
+    image.file_meta.TransferSyntaxUID = ImplicitVRLittleEndian
+    return image
+
+
+# pynetdicom leaves the socket of an aborted connection to the garbage collector.
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
+def test_bytes_of_a_program_that_is_not_the_pacs_do_not_end_a_retrieval(tmp_path):
+    port = free_port()
+    connection = PacsConnection("test", host="127.0.0.1", called_ae="PACS", calling_ae="CARINA", listen_port=port)
+    folder = RetrievalFolder(tmp_path / "scan", SERIES, max_image_bytes=4_000)
+    receiver = _Receiver("test", SERIES, folder, frozenset(), Watch(None, None))
+    with folder, DimseClient(connection)._listener(receiver):
+        send_claim(port, 8_000)
+        assert not receiver.has_problem()
+        sender = pynetdicom.AE("PACS")
+        sender.add_requested_context(CT_IMAGE)
+        association = sender.associate("127.0.0.1", port, ae_title="CARINA")
+        assert association.is_established
+        # Below the limit for itself, but above the limit together with the image of the PACS.
+        send_claim(port, 3_000)
+        assert association.send_c_store(image_of(2_500)).Status == 0x0000
+        assert not receiver.has_problem()
+        # An image of the PACS above the limit ends the retrieval.
+        association.send_c_store(image_of(6_000))
+        assert receiver.has_problem()
+        with pytest.raises(PacsError) as found:
+            receiver.raise_problem()
+        assert found.value.code == "pacs.too-large"
+        association.abort()
+
+
+# pynetdicom leaves the socket of an aborted connection to the garbage collector.
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
+def test_test_of_a_listener_limits_the_bytes_of_every_program(monkeypatch):
+    monkeypatch.setattr("carina.pacs.dimse_client.MAX_ANSWER_BYTES", 4_000)
+    port = free_port()
+    connection = PacsConnection("test", host="127.0.0.1", called_ae="PACS", calling_ae="CARINA", listen_port=port)
+    listener = DimseClient(connection)._listener(None)
+    with listener, socket.create_connection(("127.0.0.1", port), timeout=20) as other:
+        other.sendall(b"\x01\x00" + (8_000).to_bytes(4, "big"))
+        # The listener closes the connection instead of waiting for the rest.
+        with contextlib.suppress(ConnectionResetError):
+            assert other.recv(1) == b""
 
 
 def test_longer_message_part_than_offered_closes_the_connection_before_it_is_read():

@@ -6,7 +6,7 @@ import contextlib
 import errno
 import logging
 import socket
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -14,6 +14,7 @@ from typing import Any
 from pydicom.dataset import Dataset
 
 from carina.errors import CarinaError, PacsError
+from carina.pacs.answer_values import without_warnings
 from carina.pacs.connections import PacsConnection
 from carina.pacs.limits import MAX_ANSWER_BYTES, MAX_PDU_BYTES, limit_socket, too_large
 from carina.pacs.reasons import CONNECT_S, check_port, missing_library, offline, tls_context
@@ -214,16 +215,7 @@ class DimseClient:
     def find(self, level: str, keys: dict[str, str], *, limit: int, watch: Watch) -> list[Dataset]:
         """Return the matches of a query (C-FIND), at most ``limit``."""
         found: list[Dataset] = []
-        num_bytes = 0
-
-        def count(num_more: int) -> None:
-            nonlocal num_bytes
-            num_bytes += num_more
-            if num_bytes > MAX_ANSWER_BYTES:
-                raise OSError("the answer to the search is too long")
-
-        handlers = [(self._pynetdicom.evt.EVT_CONN_OPEN, lambda event: limit_socket(event.assoc, count))]
-        with self._association([(_FIND, _PLAIN)], handlers=handlers) as association:
+        with self._association([(_FIND, _PLAIN)], handlers=self._handlers(None)) as association:
             for status, identifier in association.send_c_find(_query(level, **keys), _FIND):
                 watch.step("Searching the PACS")
                 code = getattr(status, "Status", None)
@@ -261,8 +253,8 @@ class DimseClient:
             if is_whole:
                 query = _query("SERIES", StudyInstanceUID=study_uid, SeriesInstanceUID=series_uid)
             else:
-                query = _query("IMAGE", StudyInstanceUID=study_uid, SeriesInstanceUID=series_uid)
-                query.SOPInstanceUID = batch if len(batch) > 1 else batch[0]
+                wanted = batch if len(batch) > 1 else batch[0]
+                query = _query("IMAGE", StudyInstanceUID=study_uid, SeriesInstanceUID=series_uid, SOPInstanceUID=wanted)
             receiver = _Receiver(self.name, series_uid, folder, frozenset(images), watch)
             if self._connection.listen_port is None:
                 self._get(query, receiver)
@@ -280,13 +272,13 @@ class DimseClient:
             self._run(association, association.send_c_get(query, _GET), receiver)
 
     def _handlers(self, receiver: _Receiver | None) -> list[Any]:
-        """Return the handlers of received images; without a receiver every image is refused."""
-        if receiver is None:
-            return []
+        """Return the handlers that limit the bytes and store the images; without a receiver images are refused."""
         events = self._pynetdicom.evt
+        if receiver is None:
+            return [(events.EVT_CONN_OPEN, lambda event: limit_socket(event.assoc, _limited_count()))]
         return [
             (events.EVT_C_STORE, receiver.store),
-            (events.EVT_CONN_OPEN, lambda event: limit_socket(event.assoc, receiver.count)),
+            (events.EVT_CONN_OPEN, lambda event: limit_socket(event.assoc, receiver.counter_of(event.assoc))),
             (events.EVT_REJECTED, receiver.note_rejected),
         ]
 
@@ -411,8 +403,8 @@ class _Receiver:
         self._watch = replace(watch)
         self._problem: BaseException | None = None
         self.num_received = 0
-        self._num_bytes = 0
-        """Bytes that arrived since the last complete image."""
+        self._num_bytes: dict[Any, int] = {}
+        """Bytes of each association since its last complete image."""
         self.rejected_title = ""
         """AE title of a program whose connection to the listener was refused; empty without one."""
 
@@ -421,19 +413,30 @@ class _Receiver:
         title = str(event.assoc.requestor.ae_title)
         self.rejected_title = "".join(c for c in title if c.isprintable())[:16].strip()
 
-    def count(self, num_bytes: int) -> None:
-        """Count bytes before they are read; raise OSError, which closes the connection, if an image is too large."""
-        self._num_bytes += num_bytes
+    def counter_of(self, association: Any) -> Callable[[int], None]:
+        """Return a function that counts the bytes of an association before they are read.
+
+        The function raises OSError, which closes the connection, if an image is too large. This ends the retrieval only
+        if the association was accepted: until then the connection may come from any program of the network.
+        """
         limit = self._folder.max_image_bytes
-        if self._num_bytes > limit:
-            self._problem = self._problem or too_large(
-                self._name, f"an image of the series has more than {limit >> 20} MiB"
-            )
+        self._num_bytes[association] = 0
+
+        def count(num_bytes: int) -> None:
+            self._num_bytes[association] += num_bytes
+            if self._num_bytes[association] <= limit:
+                return
+            if association.is_established:
+                self._problem = self._problem or too_large(
+                    self._name, f"an image of the series has more than {limit >> 20} MiB"
+                )
             raise OSError("the image is too large")
+
+        return count
 
     def store(self, event: Any) -> int:
         """Store one image; the result is the status for the PACS."""
-        self._num_bytes = 0
+        self._num_bytes[event.assoc] = 0
         if self._problem is not None:
             return 0xA700
         try:
@@ -443,11 +446,12 @@ class _Receiver:
             self._problem = error
             return 0xA700
         try:
-            dataset = event.dataset
-            sop_uid, syntax = str(dataset.SOPInstanceUID), str(event.context.transfer_syntax)
-            series_uid = str(dataset.SeriesInstanceUID)
-            content = event.encoded_dataset(include_meta=False)
-            file = part10(str(dataset.SOPClassUID), sop_uid, syntax, content)
+            with without_warnings():
+                dataset = event.dataset
+                sop_uid, syntax = str(dataset.SOPInstanceUID), str(event.context.transfer_syntax)
+                series_uid = str(dataset.SeriesInstanceUID)
+                content = event.encoded_dataset(include_meta=False)
+                file = part10(str(dataset.SOPClassUID), sop_uid, syntax, content)
         except Exception:
             # Any program of the network can send a damaged image, which must not end the retrieval.
             return 0xC000
@@ -476,6 +480,19 @@ class _Receiver:
             raise self._problem
 
 
+def _limited_count() -> Callable[[int], None]:
+    """Return a function that raises OSError when an association sends more bytes than an answer to a search."""
+    num_bytes = 0
+
+    def count(num_more: int) -> None:
+        nonlocal num_bytes
+        num_bytes += num_more
+        if num_bytes > MAX_ANSWER_BYTES:
+            raise OSError("the answer is too long")
+
+    return count
+
+
 def listening_address(connection: PacsConnection) -> str:
     """Return the one address on which this machine receives images.
 
@@ -497,11 +514,12 @@ def listening_address(connection: PacsConnection) -> str:
         raise offline(connection, error) from None
 
 
-def _query(level: str, **keys: str) -> Dataset:
+def _query(level: str, **keys: str | list[str]) -> Dataset:
     query = Dataset()
     query.QueryRetrieveLevel = level
-    for keyword, value in keys.items():
-        setattr(query, keyword, value)
+    with without_warnings():  # a value may be a name that the user searches
+        for keyword, value in keys.items():
+            setattr(query, keyword, value)
     return query
 
 
