@@ -22,7 +22,7 @@ def jobs():
         yield JobRunner(pool.submit, lambda _event: None, time.monotonic)
 
 
-def running_job(jobs, kind):
+def running_job(jobs, kind, *, of_case=True):
     """Start a job that runs until it is stopped, and return it."""
     begun, found = threading.Event(), []
 
@@ -32,7 +32,7 @@ def running_job(jobs, kind):
         while True:
             job.check()
 
-    job_id = jobs.start(kind, f"a job of the kind {kind}", work)
+    job_id = jobs.start(kind, f"a job of the kind {kind}", work, of_case=of_case)
     assert begun.wait(60.0)
     return job_id, found[0]
 
@@ -51,6 +51,18 @@ def test_job_states_why_it_was_stopped(jobs):
     assert present.stop_reason == OTHER_CASE
     jobs.cancel_kinds()
     assert other.stop_reason == CASE_CLOSED
+    assert jobs.wait_idle(60.0)
+
+
+def test_job_that_does_not_belong_to_the_case_continues_in_another_case_and_stops_with_carina(jobs):
+    _, retrieval = running_job(jobs, "a", of_case=False)
+    _, opening = running_job(jobs, "open")
+    jobs.cancel_others(opening)
+    jobs.cancel_kinds()
+    assert opening.cancel()
+    assert not retrieval.cancel()
+    jobs.close()
+    assert retrieval.cancel()
     assert jobs.wait_idle(60.0)
 
 

@@ -105,10 +105,12 @@ def _closing_error(title: str) -> CancelledError:
 class Job:
     """A running background job; ``progress`` and ``cancel`` are passed to the function that does the work."""
 
-    def __init__(self, job_id: str, title: str, kind: str, runner: JobRunner) -> None:
+    def __init__(self, job_id: str, title: str, kind: str, runner: JobRunner, *, of_case: bool = True) -> None:
         self.job_id = job_id
         self.title = title
         self.kind = kind
+        self.of_case = of_case
+        """Whether the job stops when the case is closed or another case is opened."""
         self._runner = runner
         self._cancelled = threading.Event()
         self.stop_reason: str | None = None
@@ -212,7 +214,7 @@ class JobRunner:
         with self._lock:
             return tuple(self._jobs.values())
 
-    def start(self, kind: str, title: str, work: Callable[[Job], None]) -> str:
+    def start(self, kind: str, title: str, work: Callable[[Job], None], *, of_case: bool = True) -> str:
         """Start a job, and return its ID.
 
         Parameters
@@ -223,6 +225,8 @@ class JobRunner:
             Title for the user.
         work
             Function that does the work; it raises CarinaError to report a failure to the user.
+        of_case
+            Whether the job stops when the case is closed or another case is opened.
 
         Returns
         -------
@@ -240,7 +244,7 @@ class JobRunner:
             for other in self._jobs.values():
                 if other.kind == kind:
                     other.stop(STARTED_AGAIN)
-            job = Job(f"job-{next(self._numbers)}", title, kind, self)
+            job = Job(f"job-{next(self._numbers)}", title, kind, self, of_case=of_case)
             self._jobs[job.job_id] = job
         # The job inherits the context of the caller, such as the current command.
         context = contextvars.copy_context()
@@ -265,7 +269,8 @@ class JobRunner:
         """Stop all jobs and refuse new ones."""
         with self._lock:
             self._closed = True
-        self.cancel_kinds()
+        for job in self.running:
+            job.stop(CASE_CLOSED)
 
     def cancel(self, job_id: str) -> bool:
         """Stop a job; return False if no job has this ID."""
@@ -282,15 +287,15 @@ class JobRunner:
         return job is not None and job.cancel()
 
     def cancel_kinds(self, *kinds: str) -> None:
-        """Stop the jobs of these kinds; without kinds stop all jobs, because the case is closed."""
+        """Stop the jobs of these kinds; without kinds stop all jobs of the case, because the case is closed."""
         for job in self.running:
-            if not kinds or job.kind in kinds:
+            if job.kind in kinds or (not kinds and job.of_case):
                 job.stop(None if kinds else CASE_CLOSED)
 
     def cancel_others(self, than: Job) -> None:
-        """Request all running jobs except ``than``, which opens another case, to stop."""
+        """Request all jobs of the case except ``than``, which opens another case, to stop."""
         for job in self.running:
-            if job is not than:
+            if job is not than and job.of_case:
                 job.stop(OTHER_CASE)
 
     def wait_idle(self, timeout_s: float | None) -> bool:
