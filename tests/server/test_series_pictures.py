@@ -31,7 +31,7 @@ class SmallSession:
 
     def _start(self, kind, _title, work):
         self.kind = kind
-        work(SimpleNamespace(progress=lambda *_: None, cancel=self._cancel))
+        work(SimpleNamespace(progress=lambda *_: None, cancel=self._cancel, check=lambda: None))
 
 
 @pytest.mark.parametrize("packed", [False, True])
@@ -43,7 +43,7 @@ def test_each_series_of_a_folder_or_archive_has_a_picture(tmp_path, packed):
         path = tmp_path / "scan.zip"
         shutil.make_archive(str(tmp_path / "scan"), "zip", tmp_path / "scan")
     sent = []
-    start_series_pictures(SmallSession(path), sent.append)
+    start_series_pictures(SmallSession(path), 1, sent.append)
     assert all(isinstance(message, wire.SeriesPictureMessage) for message in sent)
     assert [message.key for message in sent] == ["1", "2"]
     assert all(base64.b64decode(message.picture).startswith(b"\x89PNG") for message in sent)
@@ -54,12 +54,14 @@ def test_closed_list_stops_the_job(tmp_path):
     series(tmp_path / "scan")
     session, sent = SmallSession(tmp_path / "scan", cancel=lambda: True), []
     with pytest.raises(CancelledError):
-        start_series_pictures(session, sent.append)
+        start_series_pictures(session, 1, sent.append)
     assert sent == []
-    stop_series_pictures(session)
-    assert session.stopped == [session.kind]
+    stop_series_pictures(session, 2)
+    assert session.kind not in session.stopped, "another window closed its list"
+    stop_series_pictures(session, 1)
+    assert session.kind in session.stopped
 
 
 def test_dropped_ct_without_a_known_folder_is_refused():
     with pytest.raises(UsageError, match="dropped"):
-        start_series_pictures(SmallSession(None), lambda _: None)
+        start_series_pictures(SmallSession(None), 1, lambda _: None)

@@ -187,6 +187,7 @@ class Hub:
         window.end()
         if not window.watches:
             self.devices.remove_window(window.number)
+            stop_series_pictures(self.session, window.number)
             # A page that the user reloads keeps its frame rate.
             self._rate_hz = window.pump.rate_hz
         self._leaving = [thread for thread in (*self._leaving, *window.threads) if thread.is_alive()]
@@ -326,9 +327,9 @@ class Hub:
             case wire.AskStorage():
                 window.mark("start")
             case wire.AskSeriesPictures():
-                start_series_pictures(self.session, window.send)
+                start_series_pictures(self.session, window.number, window.send)
             case wire.StopSeriesPictures():
-                stop_series_pictures(self.session)
+                stop_series_pictures(self.session, window.number)
             case wire.SetWatchPage():
                 self._run_as_task(
                     self._open_watch_page(window, learners=message.learners)

@@ -13,11 +13,22 @@ from carina.session import Session
 from carina.session.jobs.background_jobs import Job
 from carina.volume.progress import Watch
 
-_KIND = "series-pictures"
+
+def _kind(window: int) -> str:
+    return f"series-pictures-{window}"
 
 
-def start_series_pictures(session: Session, send: Callable[[Any], None]) -> None:
-    """Start the job that sends a picture of each series.
+def start_series_pictures(session: Session, window: int, send: Callable[[Any], None]) -> None:
+    """Start the job that sends a picture of each series to a window.
+
+    Parameters
+    ----------
+    session
+        Session with the open CT.
+    window
+        Number of the window; a job of another window continues.
+    send
+        Sends a message to the window; callable from any thread.
 
     Raises
     ------
@@ -37,11 +48,12 @@ def start_series_pictures(session: Session, send: Callable[[Any], None]) -> None
             if isinstance(found, str):
                 return
             for key, picture in series_pictures(found, watch):
+                job.check()
                 send(wire.SeriesPictureMessage(key, base64.b64encode(picture).decode()))
 
-    session.jobs.start(_KIND, "making the thumbnails", work)
+    session.jobs.start(_kind(window), "making the thumbnails", work)
 
 
-def stop_series_pictures(session: Session) -> None:
-    """Stop the job, because the list of series was closed."""
-    session.jobs.cancel_kinds(_KIND)
+def stop_series_pictures(session: Session, window: int) -> None:
+    """Stop the job of a window, because the window has closed the list of series or has left."""
+    session.jobs.cancel_kinds(_kind(window))
