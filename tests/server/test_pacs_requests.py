@@ -2,24 +2,31 @@
 
 from __future__ import annotations
 
+import contextlib
 import logging
+import os
 import sys
+import threading
 from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
 from dicom_writer import series
-from live_server import open_case
+from live_server import WAIT_S, open_case
 from nodules import ellipsoid
 from orthanc_server import free_port, require_orthanc, running_orthanc
 
+import carina
 import carina.pacs
-from carina.errors import UsageError
+from cached_test_data import MASKED_CHEST, cached_airways, cached_phantom
+from carina.errors import CancelledError
 from carina.export.plan_dicom_seg import write_target_seg
+from carina.pacs.retrieval_folder import RetrievalFolder
 from carina.server import pacs_requests
-from carina.server.pacs_requests import FOR_WINDOW, PacsRequests, text_for_window
+from carina.server.pacs_requests import FOR_WINDOW, SENDING, PacsRequests, text_for_window
 from carina.server.wire import messages as wire
 from carina.volume import open_volume
+from training_workstation import Workstation, until
 
 pytest.importorskip("pynetdicom", reason="needs the extra dicom")
 pytest.importorskip("dicomweb_client", reason="needs the extra dicom")
@@ -174,7 +181,7 @@ def test_files_of_a_plan_are_stored_with_the_name_of_the_patient(live, tmp_path,
         connected(window, server)
         window.send(wire.SendPlanToPacs("hospital", "target-1", ("seg", "sr")))
         sent = answer(window, wire.PacsSentMessage)
-        assert (sent.name, sent.num_stored, sent.refused) == ("hospital", 1, ())
+        assert (sent.name, sent.target_id, sent.num_stored, sent.refused) == ("hospital", "target-1", 1, ())
         assert asked == [("target-1", [".seg.dcm", ".sr.dcm"], "from the CT")]
         (study,) = server.request("/studies?expand")
         assert study["PatientMainDicomTags"]["PatientName"] == "Muster^Erika"
@@ -187,7 +194,7 @@ def test_plan_without_a_dicom_folder_is_refused_and_nothing_is_sent(live, orthan
         before = orthanc.num_instances()
         window.send(wire.SendPlanToPacs("hospital", "target-1", ("seg",)))
         found = problem(window)
-        assert found.task == "send"
+        assert (found.task, found.target_id) == ("send", "target-1")
         assert orthanc.num_instances() == before
 
 
@@ -203,11 +210,21 @@ def test_other_windows_and_observers_receive_no_search_result(live, orthanc):
 
 def test_window_on_another_machine_may_not_use_the_pacs(live):
     requests = PacsRequests(live.session)
-    away = SimpleNamespace(number=1, at_machine=False, send=lambda _: None)
-    with pytest.raises(UsageError, match="only in a browser on the machine") as found:
-        requests.handle(wire.AskPacs(), away)
-    assert found.value.code == "pacs.other-machine"
+    sent = []
+    away = SimpleNamespace(number=1, at_machine=False, send=sent.append)
+    for message, task in (
+        (wire.AskPacs(), "settings"),
+        (wire.SearchPacs("hospital", "Muster", "", ""), "search"),
+        (wire.SendPlanToPacs("hospital", "target-1", ("seg",)), "send"),
+    ):
+        assert requests.handle(message, away)
+        found = sent.pop()
+        assert (found.task, found.code) == (task, "pacs.other-machine")
+        assert "only in a browser on the machine" in found.problem
+    assert requests.handle(wire.StopPacs(), away)
     assert requests.handle(wire.AskStorage(), away) is False
+    assert sent == []
+    assert live.session.jobs.running == ()
 
 
 # pynetdicom leaves the socket of a refused connection to the garbage collector.
@@ -228,11 +245,297 @@ def test_failed_search_and_retrieval_state_the_reason_and_the_open_case_stays(li
         assert live.session.snapshot().case_number == before.case.number
 
 
-def test_closing_the_list_stops_search_and_previews(live):
-    kinds = []
-    requests = PacsRequests(SimpleNamespace(jobs=SimpleNamespace(cancel_kinds=lambda *names: kinds.extend(names))))
-    assert requests.handle(wire.StopPacs(), SimpleNamespace(number=1, at_machine=True))
-    assert kinds == ["pacs-test", "pacs-search", "pacs-series"]
+def held_job(monkeypatch, name, result):
+    """Replace a function of carina.pacs by one that waits; return the event that it has begun, and the one to end."""
+    begun, end = threading.Event(), threading.Event()
+
+    def function(*_, **__):
+        begun.set()
+        assert end.wait(WAIT_S)
+        return result
+
+    monkeypatch.setattr(carina.pacs, name, function)
+    return begun, end
+
+
+FOUND = carina.pacs.PacsStudies(
+    (carina.pacs.PacsStudy(STUDY, "Muster^Erika", "17", "2026-11-03", "Chest", ("CT",), 1),), has_more=False
+)
+
+
+def until_idle(live):
+    assert live.session.jobs.wait_idle(WAIT_S)
+
+
+def test_closed_dialog_receives_no_name_from_a_search_that_ends_later(live, monkeypatch):
+    begun, end = held_job(monkeypatch, "find_studies", FOUND)
+    with live.window() as window:
+        window.send(wire.SavePacs(fields(), None))
+        answer(window, wire.PacsConnectionsMessage)
+        window.send(wire.SearchPacs("hospital", "Muster", "", ""))
+        assert begun.wait(WAIT_S)
+        window.send(wire.StopPacs(), wire.AskPacs())
+        answer(window, wire.PacsConnectionsMessage)  # the window has handled both messages
+        end.set()
+        until_idle(live)
+        window.send(wire.AskPacs())
+        answer(window, wire.PacsConnectionsMessage)
+        assert not any("Muster" in wire.encode_message(message) for message in window.seen)
+
+
+def test_closed_dialog_receives_no_series_and_no_preview(live, monkeypatch):
+    series = carina.pacs.PacsSeries(SERIES, STUDY, "CT", "Muster", 1, 20)
+    begun, end = held_job(monkeypatch, "preview_series", carina.pacs.SeriesPreview(picture=b"Muster"))
+    monkeypatch.setattr(carina.pacs, "find_series", lambda *_, **__: (series,))
+    with live.window() as window:
+        window.send(wire.SavePacs(fields(), None))
+        answer(window, wire.PacsConnectionsMessage)
+        window.send(wire.AskPacsSeries("hospital", STUDY))
+        answer(window, wire.PacsSeriesMessage)
+        assert begun.wait(WAIT_S)
+        window.send(wire.StopPacs(), wire.AskPacs())
+        answer(window, wire.PacsConnectionsMessage)
+        end.set()
+        until_idle(live)
+        window.send(wire.AskPacs())
+        answer(window, wire.PacsConnectionsMessage)
+        kinds = [type(message) for message in window.seen]
+        assert kinds.count(wire.PacsSeriesMessage) == 1
+        assert wire.PacsPreviewMessage not in kinds
+
+
+def test_search_of_a_window_continues_when_another_window_searches_or_closes_its_dialog(live, monkeypatch):
+    begun, end = held_job(monkeypatch, "find_studies", FOUND)
+    with live.window() as window, live.window() as other:
+        window.send(wire.SavePacs(fields(), None))
+        answer(window, wire.PacsConnectionsMessage)
+        window.send(wire.SearchPacs("hospital", "Muster", "", ""))
+        assert begun.wait(WAIT_S)
+        other.send(wire.SearchPacs("hospital", "", "17", ""), wire.StopPacs(), wire.AskPacs())
+        answer(other, wire.PacsConnectionsMessage)
+        end.set()
+        assert answer(window, wire.PacsStudiesMessage).studies
+        until_idle(live)
+        assert not any(isinstance(message, wire.PacsStudiesMessage) for message in other.seen)
+
+
+def test_search_of_a_window_that_has_left_is_stopped(live, monkeypatch):
+    begun, end = held_job(monkeypatch, "find_studies", FOUND)
+    with live.window() as window, live.window() as other:
+        window.send(wire.SavePacs(fields(), None))
+        answer(window, wire.PacsConnectionsMessage)
+        other.send(wire.SearchPacs("hospital", "Muster", "", ""))
+        assert begun.wait(WAIT_S)
+        other.socket.close()
+        (job,) = live.session.jobs.running
+        until(job.cancel)
+        end.set()
+
+
+# -- retrieval ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def held(monkeypatch):
+    """Replace the retrieval by one that waits until the test ends it or the job is stopped."""
+    calls = []
+
+    def retrieve(_connection, _study, series, folder, *, reuse, progress, cancel):
+        assert reuse, "an earlier retrieval must be compared with the PACS"
+        progress("Retrieving the images", 0.5)
+        call = SimpleNamespace(series=series, folder=folder, end=threading.Event(), cancel=cancel)
+        calls.append(call)
+        with RetrievalFolder(folder, series, replaces=True) as place:
+            place.add(f"{series}.1", b"image")
+            while not call.end.wait(0.01):
+                if cancel():
+                    raise CancelledError("stopped")
+            place.complete([f"{series}.1"])
+        return carina.pacs.Retrieved(folder, 1, 0)
+
+    monkeypatch.setattr(carina.pacs, "retrieve_series", retrieve)
+    return calls
+
+
+def get(window, series=SERIES, name="hospital"):
+    window.send(wire.GetPacsSeries(name, STUDY, series))
+
+
+def saved(window, *names):
+    for name in names or ("hospital",):
+        window.send(wire.SavePacs(fields(name=name), None))
+        answer(window, wire.PacsConnectionsMessage)
+
+
+def test_same_series_of_two_connections_has_two_folders(live, held):
+    with live.window() as window:
+        saved(window, "hospital", "clinic")
+        get(window, name="hospital")
+        until(lambda: len(held) == 1)
+        get(window, name="clinic")
+        until(lambda: len(held) == 2)
+        assert held[0].folder != held[1].folder
+        assert held[0].cancel(), "another series replaces the retrieval of this window"
+        held[1].end.set()
+        window.until_state(lambda state: state.case is not None)
+        assert live.opened == [str(held[1].folder)]
+
+
+def test_repeated_click_on_a_series_does_not_stop_its_retrieval(live, held):
+    with live.window() as window:
+        saved(window)
+        get(window)
+        until(lambda: len(held) == 1)
+        get(window)
+        window.send(wire.AskPacs())
+        answer(window, wire.PacsConnectionsMessage)
+        assert not held[0].cancel()
+        held[0].end.set()
+        window.until_state(lambda state: state.case is not None)
+        assert len(held) == 1
+
+
+def test_second_window_cannot_retrieve_the_same_series_meanwhile(live, held):
+    with live.window() as window, live.window() as other:
+        saved(window)
+        get(window)
+        until(lambda: len(held) == 1)
+        get(other)
+        found = problem(other)
+        assert (found.task, found.code) == ("get", "pacs.busy")
+        assert not held[0].cancel()
+        held[0].end.set()
+        window.until_state(lambda state: state.case is not None)
+
+
+def test_retrieved_series_are_not_deleted_during_a_retrieval_or_an_opening(live, held):
+    with live.window() as window:
+        saved(window)
+        get(window)
+        until(lambda: len(held) == 1)
+        window.send(wire.EmptyPacs())
+        found = problem(window)
+        assert (found.task, found.code) == ("settings", "pacs.in-use")
+        assert "being retrieved or opened" in found.problem
+        held[0].end.set()
+        window.until_state(lambda state: state.case is not None)
+        assert list(held[0].folder.iterdir())
+
+
+@pytest.mark.parametrize("kind", ["open", "pacs-get-7-abc"])
+def test_retrieved_series_are_not_deleted_while_a_job_may_read_them(live, kind):
+    end = threading.Event()
+    place = pacs_requests.retrieved_folder() / "series-abc"
+    place.mkdir(parents=True)
+    live.session.jobs.start(kind, "reading", lambda _job: end.wait(WAIT_S))
+    with live.window() as window:
+        window.send(wire.EmptyPacs())
+        assert problem(window).code == "pacs.in-use"
+        assert place.is_dir()
+        end.set()
+        until_idle(live)
+        window.send(wire.EmptyPacs())
+        answer(window, wire.PacsConnectionsMessage)
+        assert not place.exists()
+
+
+def test_retrieval_continues_when_another_case_is_opened_and_does_not_close_it(live, held):
+    with live.window() as window:
+        saved(window)
+        get(window)
+        until(lambda: len(held) == 1)
+        opened = open_case(window)
+        assert not held[0].cancel()
+        held[0].end.set()
+        notice = window.until(lambda m: isinstance(m, wire.Notice) and "retrieved" in m.message)
+        assert "another case was opened in the meantime" in notice.message
+        until_idle(live)
+        assert live.session.snapshot().case_number == opened.case.number
+        assert live.opened == ["case"]
+
+
+def test_retrieved_series_opens_in_place_of_the_case_of_the_request_or_of_none(live, held):
+    with live.window() as window:
+        saved(window)
+        open_case(window)
+        get(window)
+        until(lambda: len(held) == 1)
+        held[0].end.set()
+        until(lambda: len(live.opened) == 2)
+        until_idle(live)
+        get(window, "1.2.3.77.9")
+        until(lambda: len(held) == 2)
+        window.send(wire.CloseCase())
+        window.until_state(lambda state: state.case is None)
+        held[1].end.set()
+        until(lambda: len(live.opened) == 3)
+        assert live.opened[1:] == [str(held[0].folder), str(held[1].folder)]
+
+
+@pytest.fixture
+def trained(tmp_path, monkeypatch):
+    volume, airways = cached_phantom(**MASKED_CHEST).volume, cached_airways(**MASKED_CHEST)
+    wall = carina.wall_field(volume, airways, spacing_mm=0.6, progress=False)
+    made = Workstation(tmp_path / "case", (volume, airways, wall), monkeypatch)
+    yield made
+    made.session.close()
+
+
+def test_retrieved_series_does_not_end_a_running_task(trained, held, tmp_path):
+    carina.pacs.PacsConnections().save(carina.pacs.PacsConnection("hospital", host="127.0.0.1", called_ae="PACS"))
+    sent = []
+    window = SimpleNamespace(number=1, at_machine=True, send=sent.append)
+    number = trained.session.snapshot().case_number
+    PacsRequests(trained.session).handle(wire.GetPacsSeries("hospital", STUDY, SERIES), window)
+    until(lambda: len(held) == 1)
+    trained.start("inspect-all")
+    held[0].end.set()
+    until(lambda: sent)
+    assert [type(message) for message in sent] == [wire.Notice]
+    assert "a task of the training is running" in sent[0].message
+    assert trained.info.running is not None
+    assert trained.session.snapshot().case_number == number
+
+
+# -- sending a plan ----------------------------------------------------------------------------------------------------
+
+
+def test_second_plan_is_refused_while_a_plan_is_sent_and_answers_name_their_target(live, monkeypatch, tmp_path):
+    begun, end = held_job(monkeypatch, "store_files", carina.pacs.Stored(2, ()))
+    monkeypatch.setattr(pacs_requests, "write_archive_files", lambda *_, **__: [])
+    with live.window() as window:
+        saved(window)
+        window.send(wire.SendPlanToPacs("hospital", "target-1", ("seg",)))
+        assert begun.wait(WAIT_S)
+        assert [job.title for job in live.session.jobs.running] == [SENDING]
+        window.send(wire.SendPlanToPacs("hospital", "target-2", ("seg",)))
+        refused = problem(window)
+        assert (refused.task, refused.code, refused.target_id) == ("send", "pacs.busy", "target-2")
+        end.set()
+        assert answer(window, wire.PacsSentMessage).target_id == "target-1"
+
+
+def test_page_disables_its_button_by_the_title_of_the_job():
+    page = Path(__file__).parents[2] / "web/src/state/pacs.ts"
+    assert f'"{SENDING}"' in page.read_text()
+
+
+def test_used_space_is_stated_while_a_retrieval_renames_files(live, monkeypatch):
+    place = pacs_requests.retrieved_folder() / ".series-a.incomplete"
+    place.mkdir(parents=True)
+    (place / "a.dcm").write_bytes(bytes(10))
+    (place / "b.draft").write_bytes(bytes(10))
+    scan = os.scandir
+
+    @contextlib.contextmanager
+    def renaming(folder):
+        with scan(folder) as entries:
+            found = list(entries)
+            (place / "b.draft").unlink()
+            yield found
+
+    monkeypatch.setattr(pacs_requests.os, "scandir", renaming)
+    assert pacs_requests._bytes_in(place) == 10
 
 
 def test_actions_of_the_command_line_are_replaced_by_those_of_the_window():

@@ -187,6 +187,7 @@ class Hub:
         window.end()
         if not window.watches:
             self.devices.remove_window(window.number)
+            self._pacs.stop_queries(window.number)
             stop_series_pictures(self.session, window.number)
             # A page that the user reloads keeps its frame rate.
             self._rate_hz = window.pump.rate_hz

@@ -7,18 +7,19 @@ and are neither stored nor logged. Jobs and folders have names without patient d
 from __future__ import annotations
 
 import base64
+import contextlib
 import hashlib
 import os
-import shutil
 import threading
 from collections.abc import Callable
 from dataclasses import asdict, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
-from carina.commands import OpenPath
+from carina.commands import OpenPath, TrainingOf
 from carina.config import load_settings
-from carina.disk import disk_trouble, make_folder, scratch_folder
+from carina.disk import make_folder, scratch_folder
 from carina.errors import CancelledError, CarinaError, PacsError, UsageError
 from carina.server.files.plan_reports import write_archive_files
 from carina.server.wire import messages as wire
@@ -32,8 +33,25 @@ if TYPE_CHECKING:
 MAX_LISTED_SERIES = 2000
 MAX_PREVIEWS = 24
 """Largest number of series of a study with a preview, for each of which one image is retrieved."""
+SENDING = "sending the plan to the PACS"
+"""Title of the job that sends a plan; the page disables its button while a job with this title runs."""
 _NAME = "carina-pacs"
-_QUERIES = ("pacs-test", "pacs-search", "pacs-series")
+_QUERIES: tuple[wire.PacsTask, ...] = ("test", "search", "series")
+_TASKS: dict[type, wire.PacsTask] = {
+    wire.AskPacs: "settings",
+    wire.SavePacs: "settings",
+    wire.RemovePacs: "settings",
+    wire.EmptyPacs: "settings",
+    wire.TestPacs: "test",
+    wire.SearchPacs: "search",
+    wire.AskPacsSeries: "series",
+    wire.GetPacsSeries: "get",
+    wire.SendPlanToPacs: "send",
+}
+_OTHER_MACHINE = "a PACS can be used only in a browser on the machine that runs Carina: open Carina there"
+_NOT_OPENED = (
+    'The series was retrieved, but not opened, because {reason}. To open it, choose it again under "Open from a PACS".'
+)
 
 
 class Asker(Protocol):
@@ -63,39 +81,35 @@ class PacsRequests:
     def handle(self, message: Any, window: Asker) -> bool:
         """Start the job of a message; return False if the message does not concern a PACS.
 
-        Raises
-        ------
-        UsageError
-            ``pacs.other-machine`` if the window is on another machine.
+        A window on another machine receives a ``pacs_problem`` with the code ``pacs.other-machine``.
         """
-        start = self._job_of(message, window)
-        if start is None:
+        if isinstance(message, wire.StopPacs):
+            self.stop_queries(window.number)
+            return True
+        task = _TASKS.get(type(message))
+        if task is None:
             return False
         if not window.at_machine:
-            raise UsageError(
-                "a PACS can be used only in a browser on the machine that runs Carina: open Carina there",
-                code="pacs.other-machine",
-            )
-        start()
+            window.send(_problem(task, message, UsageError(_OTHER_MACHINE, code="pacs.other-machine")))
+            return True
+        match message:
+            case wire.TestPacs():
+                self._start(task, "testing the connection", message, window, self._test)
+            case wire.SearchPacs():
+                self._start(task, "searching the PACS", message, window, self._search)
+            case wire.AskPacsSeries():
+                self._start(task, "listing the series", message, window, self._series)
+            case wire.GetPacsSeries():
+                self._start_get(message, window)
+            case wire.SendPlanToPacs():
+                self._start_send(message, window)
+            case _:
+                self._start(task, "reading the PACS connections", message, window, self._settings)
         return True
 
-    def _job_of(self, message: Any, window: Asker) -> Callable[[], None] | None:
-        match message:
-            case wire.AskPacs() | wire.SavePacs() | wire.RemovePacs() | wire.EmptyPacs():
-                return lambda: self._start("settings", "reading the PACS connections", message, window, self._settings)
-            case wire.TestPacs():
-                return lambda: self._start("test", "testing the connection", message, window, self._test)
-            case wire.SearchPacs():
-                return lambda: self._start("search", "searching the PACS", message, window, self._search)
-            case wire.AskPacsSeries():
-                return lambda: self._start("series", "listing the series", message, window, self._series)
-            case wire.GetPacsSeries():
-                return lambda: self._start("get", "retrieving the series", message, window, self._get)
-            case wire.SendPlanToPacs():
-                return lambda: self._start("send", "sending the plan to the PACS", message, window, self._send)
-            case wire.StopPacs():
-                return lambda: self._session.jobs.cancel_kinds(*_QUERIES)
-        return None
+    def stop_queries(self, window: int) -> None:
+        """Stop connection test, search and previews of a window, because it closed their dialog or has left."""
+        self._session.jobs.cancel_kinds(*(_kind(task, window) for task in _QUERIES))
 
     def _start(
         self,
@@ -104,6 +118,9 @@ class PacsRequests:
         message: Any,
         window: Asker,
         work: Callable[[Any, Asker, Job], None],
+        *,
+        kind: str | None = None,
+        of_case: bool = True,
     ) -> None:
         """Start a job; its error goes to the window that sent the request, which shows the error beside the request."""
 
@@ -113,9 +130,37 @@ class PacsRequests:
             except CancelledError:
                 raise
             except CarinaError as error:
-                window.send(wire.PacsProblemMessage(task, error.code, text_for_window(str(error))))
+                if task != "settings":
+                    job.check()  # a stopped job may fail in any way, and nobody waits for its answer
+                window.send(_problem(task, message, error))
 
-        self._session.jobs.start(f"pacs-{task}", title, run)
+        self._session.jobs.start(kind or _kind(task, window.number), title, run, of_case=of_case)
+
+    def _start_get(self, message: wire.GetPacsSeries, window: Asker) -> None:
+        """Start the retrieval of a series in place of another retrieval of this window; a second request is ignored."""
+        before = _kind("get", window.number)
+        mark = _series_mark(message)
+        kind = f"{before}-{mark}"
+        if self._is_running(kind):
+            return
+        for job in self._session.jobs.running:
+            if job.kind.startswith(f"{before}-"):
+                self._session.jobs.cancel(job.job_id)
+        number = self._session.snapshot().case_number
+        work = partial(self._get, mark=mark, case_number=number)
+        # The series is independent of the open case, so the retrieval continues when the user opens another case.
+        self._start("get", "retrieving the series", message, window, work, kind=kind, of_case=False)
+
+    def _start_send(self, message: wire.SendPlanToPacs, window: Asker) -> None:
+        """Start to send a plan; a second request of the window is refused, because it would stop the first one."""
+        if self._is_running(_kind("send", window.number)):
+            error = UsageError("a plan is being sent; wait until it is stored, or cancel it", code="pacs.busy")
+            window.send(_problem("send", message, error))
+            return
+        self._start("send", SENDING, message, window, self._send)
+
+    def _is_running(self, kind: str) -> bool:
+        return any(job.kind == kind and not job.cancel() for job in self._session.jobs.running)
 
     # ------------------------------------------------------------ connections
 
@@ -140,14 +185,19 @@ class PacsRequests:
         window.send(wire.PacsConnectionsMessage(connections, *_retrieved(), None))
 
     def _empty(self) -> None:
+        from carina.pacs.retrieval_folder import delete_retrieved
+
+        self._refuse_while_used()
+        delete_retrieved(retrieved_folder(), self._refuse_while_used)
+
+    def _refuse_while_used(self) -> None:
+        """Raise UsageError while the open case, an opening or a retrieval may use a retrieved series."""
         if self._session.snapshot().case is not None:
             raise UsageError("close the case first, because it may use a retrieved series", code="pacs.in-use")
-        folder = retrieved_folder()
-        try:
-            if folder.exists():
-                shutil.rmtree(folder)
-        except OSError as error:
-            raise disk_trouble(error, "cannot delete the retrieved series", folder) from error
+        if any(job.kind == "open" or job.kind.startswith("pacs-get-") for job in self._session.jobs.running):
+            raise UsageError(
+                "a series is being retrieved or opened: wait until this has ended, or cancel it", code="pacs.in-use"
+            )
 
     def _test(self, message: wire.TestPacs, window: Asker, job: Job) -> None:
         from carina.pacs import check_connection
@@ -179,6 +229,7 @@ class PacsRequests:
             for one in found
             if one.uid
         )  # fmt: skip
+        job.check()
         window.send(wire.PacsStudiesMessage(message.name, studies, found.has_more))
 
     def _series(self, message: wire.AskPacsSeries, window: Asker, job: Job) -> None:
@@ -189,6 +240,7 @@ class PacsRequests:
         connection = _connection(message.name)
         found = find_series(connection, message.study_uid, cancel=job.cancel)[:MAX_LISTED_SERIES]
         previews: dict[str, SeriesPreview] = {}
+        job.check()
         window.send(_series_message(message, found, previews))
         # Enhanced files and scouts have one image; a scout needs no preview, but its picture identifies it.
         shown = [one for one in found if one.modality in ("CT", "MR")][:MAX_PREVIEWS]
@@ -199,6 +251,7 @@ class PacsRequests:
             except PacsError:
                 continue  # the list without this picture is still useful
             picture = None if preview.picture is None else base64.b64encode(preview.picture).decode()
+            job.check()
             window.send(
                 wire.PacsPreviewMessage(
                     one.uid,
@@ -209,39 +262,48 @@ class PacsRequests:
                     picture,
                 )
             )
+        job.check()
         if previews:
             window.send(_series_message(message, found, previews))
 
     # ------------------------------------------------------------ retrieval and storage
 
-    def _get(self, message: wire.GetPacsSeries, window: Asker, job: Job) -> None:
-        """Retrieve a series into Carina's folder, unless it is there already, and open it as a case."""
+    def _get(self, message: wire.GetPacsSeries, window: Asker, job: Job, *, mark: str, case_number: int) -> None:
+        """Retrieve a series into Carina's folder, unless the same images are there already, and open it as a case.
+
+        The series is not opened if that would close another case than the one at the request (``case_number``), or end
+        an attempt of the training.
+        """
         from carina.pacs import retrieve_series
 
         folder = retrieved_folder()
         make_folder(folder, what="the retrieved series", private=True)
-        # The name depends on PACS and series, so that a repeated request continues, and contains no UID. Another
-        # PACS may have a de-identified copy with the same UIDs.
-        source = f"{_NAME} {message.name} {message.study_uid} {message.series_uid}"
-        mark = hashlib.sha256(source.encode()).hexdigest()[:20]
-        case_number = self._session.snapshot().case_number
-        place = folder / f"series-{mark}"
-        if not place.is_dir():
-            retrieve_series(
-                _connection(message.name),
-                message.study_uid,
-                message.series_uid,
-                place,
-                progress=job.progress,
-                cancel=job.cancel,
-            )
+        found = retrieve_series(
+            _connection(message.name),
+            message.study_uid,
+            message.series_uid,
+            folder / f"series-{mark}",
+            reuse=True,
+            progress=job.progress,
+            cancel=job.cancel,
+        )
         job.check()
-        if self._session.snapshot().case_number != case_number:
-            window.send(
-                wire.Notice("The series was retrieved. Another case was opened meanwhile; open the series again.")
-            )
-            return
-        self._session.do(OpenPath(str(place)), window=window.number)
+        reason = self._reason_not_to_open(case_number)
+        if reason is None:
+            self._session.do(OpenPath(str(found.folder)), window=window.number)
+        else:
+            window.send(wire.Notice(_NOT_OPENED.format(reason=reason)))
+
+    def _reason_not_to_open(self, case_number: int) -> str | None:
+        """Return why a retrieved series must not replace the open case; None if it may."""
+        snapshot = self._session.snapshot()
+        is_opening = any(job.kind == "open" for job in self._session.jobs.running)
+        if is_opening or (snapshot.case is not None and snapshot.case_number != case_number):
+            return "another case was opened in the meantime"
+        if snapshot.case is None:
+            return None
+        training = self._session.ask(TrainingOf())
+        return None if training.running is None and training.quiz is None else "a task of the training is running"
 
     def _send(self, message: wire.SendPlanToPacs, window: Asker, job: Job) -> None:
         """Write the DICOM files of a plan into a temporary folder, and store them in the PACS."""
@@ -256,7 +318,7 @@ class PacsRequests:
             )
             found = store_files(connection, files, progress=job.progress, cancel=job.cancel)
         refused = tuple(f"{name}: {reason}" for name, reason in found.refused)
-        window.send(wire.PacsSentMessage(message.name, found.num_stored, refused))
+        window.send(wire.PacsSentMessage(message.name, message.target_id, found.num_stored, refused))
 
 
 FOR_WINDOW = (
@@ -276,6 +338,22 @@ def text_for_window(words: str) -> str:
     return words[:4000]
 
 
+def _kind(task: wire.PacsTask, window: int) -> str:
+    """Return the kind of a window's job; a new job stops only a job of the same window."""
+    return f"pacs-{task}-{window}"
+
+
+def _problem(task: wire.PacsTask, message: Any, error: CarinaError) -> wire.PacsProblemMessage:
+    target_id = message.target_id if isinstance(message, wire.SendPlanToPacs) else None
+    return wire.PacsProblemMessage(task, error.code, text_for_window(str(error)), target_id)
+
+
+def _series_mark(message: wire.GetPacsSeries) -> str:
+    """Return a name of a series in a PACS, so that a repeated request continues; the name contains no UID."""
+    parts = (_NAME, message.name, message.study_uid, message.series_uid)
+    return hashlib.sha256("\n".join(parts).encode()).hexdigest()[:20]
+
+
 def retrieved_folder() -> Path:
     """Return the folder of the retrieved series on this machine."""
     return load_settings().retrieved_dir
@@ -288,8 +366,18 @@ def _retrieved() -> tuple[int, int, str]:
     if folder.is_dir():
         for place in filter(Path.is_dir, folder.iterdir()):
             count += not place.name.startswith(".")
-            num_bytes += sum(entry.stat().st_size for entry in os.scandir(place) if entry.is_file())
+            num_bytes += _bytes_in(place)
     return count, num_bytes, str(folder)
+
+
+def _bytes_in(folder: Path) -> int:
+    """Return the bytes of a folder's files; a retrieval may rename or delete files in the meantime."""
+    num_bytes = 0
+    with contextlib.suppress(OSError), os.scandir(folder) as entries:
+        for entry in entries:
+            with contextlib.suppress(OSError):
+                num_bytes += entry.stat().st_size if entry.is_file() else 0
+    return num_bytes
 
 
 def _missing_packages() -> str | None:

@@ -74,10 +74,11 @@ function DropPlace() {
   );
 }
 
-/** Render the button that opens the dialog of the PACS. */
+/** Render the button that opens the dialog of the PACS; nothing in a browser on another machine. */
 export function PacsButton() {
   const station = useStation();
-  return (
+  const atMachine = useApp((state) => state.atMachine);
+  return !atMachine ? null : (
     <Act
       label="Open from a PACS"
       words="Search the image archive of your hospital, and open a series"

@@ -64,6 +64,7 @@ const HELLO = JSON.stringify({
   carina_version: "0.1.0",
   watches: false,
   window: 1,
+  at_machine: true,
 });
 
 describe("Stream", () => {

@@ -259,6 +259,44 @@ describe("cases and jobs", () => {
     expect(following(running, from({ type: "done", job_id: "j", outcome: "done" })).jobs).toEqual([]);
   });
 
+  describe("dialog of the PACS", () => {
+    const study = {
+      study_uid: "1.2",
+      patient_name: "MUSTER^ERIKA",
+      patient_id: "17",
+      date: "2026-11-03",
+      description: "Chest",
+      modalities: "CT",
+      num_series: 2,
+    };
+    const found = from({ type: "pacs_studies", name: "hospital", studies: [study], has_more: false });
+    const show = (pacsOpen: boolean): AppEvent => ({ kind: "ui", change: { pacsOpen } });
+    const lost = from({
+      type: "pacs_problem",
+      task: "get",
+      code: "pacs.incomplete",
+      problem: "2 images did not arrive",
+      target_id: null,
+    });
+
+    it("No name stays when it closes, also without a connection to the server.", () => {
+      const open = following(INITIAL_STATE, show(true), found);
+      expect(JSON.stringify(open)).toContain("MUSTER");
+      expect(JSON.stringify(following(open, show(false)))).not.toContain("MUSTER");
+    });
+
+    it("No name that arrives after its end is stored.", () => {
+      const state = following(INITIAL_STATE, show(true), show(false), found);
+      expect(JSON.stringify(state)).not.toContain("MUSTER");
+    });
+
+    it("A retrieval that fails while it is closed is reported as an error.", () => {
+      expect(following(INITIAL_STATE, lost).messages.map(({ code }) => code)).toEqual(["pacs.incomplete"]);
+      const open = following(INITIAL_STATE, show(true), lost);
+      expect([open.messages, open.pacs.problem?.task]).toEqual([[], "get"]);
+    });
+  });
+
   it("The safety notice disappears when its acceptance is sent.", () => {
     const start = from({
       type: "start",

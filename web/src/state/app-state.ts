@@ -45,7 +45,7 @@ import type { LiveAnswer } from "./live-path";
 import type { ShownLayer } from "./lungs";
 import { allUnderWay, type Local, type Optimistic, shown, underWay } from "./optimistic";
 import { NO_PACE, type Pace } from "./pace";
-import { NO_PACS, type PacsState, pacsAnswered, pacsRequested } from "./pacs";
+import { NO_PACS, type PacsState, pacsAnswered, pacsClosed, pacsRequested } from "./pacs";
 import { opensPanel, type PanelName, panelAfter, panelOf } from "./panels";
 import type { PathCost } from "./path-search";
 import { NOT_PLAYING, type Playing } from "./playing";
@@ -198,6 +198,8 @@ export interface AppState {
   readonly version: string | null;
   /** Whether this window only watches another user's workstation. */
   readonly watches: boolean;
+  /** Whether this browser is on the machine that runs Carina; only there can a PACS be used. */
+  readonly atMachine: boolean;
   /** Number of this window at the server, with which it requests pictures of its views as files. */
   readonly window: number;
   /** State of the watcher page and its current watchers; null in a window that itself watches. */
@@ -289,6 +291,7 @@ export const INITIAL_STATE: AppState = {
   connection: { status: "connecting", reason: null, retryAtMs: null },
   version: null,
   watches: false,
+  atMachine: false,
   window: 0,
   watching: null,
   processor: null,
@@ -465,6 +468,8 @@ export function reduce(state: AppState, event: AppEvent): AppState {
       return {
         ...state,
         probed: event.change.cursorLps === null ? null : state.probed,
+        // The names of patients leave the page with the dialog, also without a connection to the server.
+        pacs: event.change.pacsOpen === false ? pacsClosed(state.pacs) : state.pacs,
         // A change of the step closes the panel of key frames, so that the panel of the step is visible.
         ui: {
           ...state.ui,
@@ -480,7 +485,13 @@ export function reduce(state: AppState, event: AppEvent): AppState {
 function receive(state: AppState, message: ServerMessage): AppState {
   switch (message.type) {
     case "hello":
-      return { ...state, version: message.carina_version, watches: message.watches, window: message.window };
+      return {
+        ...state,
+        version: message.carina_version,
+        watches: message.watches,
+        window: message.window,
+        atMachine: message.at_machine,
+      };
     case "start":
       return { ...state, start: message };
     case "state":
@@ -556,8 +567,12 @@ function receive(state: AppState, message: ServerMessage): AppState {
     case "pacs_series":
     case "pacs_preview":
     case "pacs_sent":
+      return { ...state, pacs: pacsAnswered(state.pacs, message, state.ui.pacsOpen) };
     case "pacs_problem":
-      return { ...state, pacs: pacsAnswered(state.pacs, message) };
+      // A retrieval continues while the dialog is closed, so its failure is shown as an error.
+      return message.task === "get" && !state.ui.pacsOpen
+        ? say(state, { kind: "error", code: message.code, message: message.problem, action: null })
+        : { ...state, pacs: pacsAnswered(state.pacs, message, state.ui.pacsOpen) };
   }
 }
 

@@ -12,6 +12,7 @@ import type {
   PacsStudiesMessage,
   PacsStudyEntry,
   PacsTestMessage,
+  ProgressMessage,
   ServerMessage,
 } from "../wire/messages";
 import { mm, plural } from "./format";
@@ -53,8 +54,24 @@ export const NEW_CONNECTION: PacsFields = {
   ca_file: "",
 };
 
+/** Title of the server's job that sends a plan. */
+const SEND_JOB = "sending the plan to the PACS";
+
+/** Return whether a plan is being sent, from this window or from another one. */
+export const isSending = (jobs: readonly Pick<ProgressMessage, "title">[]): boolean =>
+  jobs.some(({ title }) => title === SEND_JOB);
+
+/** Return whether an answer belongs to the open dialog; a closed dialog must not receive names of patients. */
+const isForDialog = (message: ServerMessage): boolean =>
+  message.type === "pacs_test" ||
+  message.type === "pacs_studies" ||
+  message.type === "pacs_series" ||
+  message.type === "pacs_preview" ||
+  (message.type === "pacs_problem" && message.task !== "settings" && message.task !== "send");
+
 /** Return the state after an answer of the server; the same state for a message about something else. */
-export function pacsAnswered(pacs: PacsState, message: ServerMessage): PacsState {
+export function pacsAnswered(pacs: PacsState, message: ServerMessage, isOpen: boolean): PacsState {
+  if (!isOpen && isForDialog(message)) return pacs;
   switch (message.type) {
     case "pacs_connections":
       return { ...pacs, connections: message, problem: null };
@@ -92,10 +109,25 @@ export function pacsRequested(pacs: PacsState, message: ClientMessage): PacsStat
     case "send_plan_to_pacs":
       return { ...pacs, sent: null, problem: null };
     case "stop_pacs":
-      return { ...NO_PACS, connections: pacs.connections };
+      return pacsClosed(pacs);
     default:
       return pacs;
   }
+}
+
+/** Return the state without the answers for the dialog; the result of a sent plan stays, because it is shown elsewhere. */
+export const pacsClosed = (pacs: PacsState): PacsState => ({
+  ...NO_PACS,
+  connections: pacs.connections,
+  sent: pacs.sent,
+  problem: pacs.problem?.task === "send" ? pacs.problem : null,
+});
+
+/** Return the port that a text states; null if the text is not a number from 1 to 65535. */
+export function portOf(text: string): number | null {
+  const digits = text.trim();
+  const port = Number(digits);
+  return /^\d+$/.test(digits) && port >= 1 && port <= 65535 ? port : null;
 }
 
 /** Return two dates of a search as the server reads them: one date, a range, or empty without a date. */

@@ -1494,6 +1494,7 @@ export interface ServerHelloMessage {
   readonly carina_version: string;
   readonly watches: boolean;
   readonly window: number;
+  readonly at_machine: boolean;
 }
 
 /** An entry of the case list: a case that was opened before, without the name of its CT file. */
@@ -2141,6 +2142,7 @@ export interface PacsPreviewMessage {
 export interface PacsSentMessage {
   readonly type: "pacs_sent";
   readonly name: string;
+  readonly target_id: string;
   readonly num_stored: number;
   readonly refused: readonly string[];
 }
@@ -2151,6 +2153,7 @@ export interface PacsProblemMessage {
   readonly task: "get" | "search" | "send" | "series" | "settings" | "test";
   readonly code: string;
   readonly problem: string;
+  readonly target_id: string | null;
 }
 
 /** A task of the training. */

@@ -49,7 +49,9 @@ async def serve_window(websocket: WebSocket, attach: Callable[[wire.ClientHello]
             )
             raise ProtocolError(msg, code="protocol.version")
         window = await attach(hello)
-        greeting = wire.ServerHello(wire.WIRE_VERSION, carina.__version__, window.watches, window.number)
+        greeting = wire.ServerHello(
+            wire.WIRE_VERSION, carina.__version__, window.watches, window.number, window.at_machine
+        )
         await websocket.send_text(wire.encode_message(greeting))
         sender = start_sender(websocket, "the window", _send_all(websocket, window))
         worker = asyncio.create_task(window.inbox.run())

@@ -51,6 +51,8 @@ class ServerHello(ServerMessage, frozen=True, tag="hello"):
     """Whether the client is an observer: the server refuses all commands except those for the client's own view."""
     window: Count = 0
     """Number of the client's window. A client names it when it requests pictures of its views as files."""
+    at_machine: bool = False
+    """Whether the client's browser is on the machine that runs Carina; only there can a PACS be used."""
 
 
 class CaseListEntry(FrozenValue, frozen=True):

@@ -110,14 +110,20 @@ class EmptyPacs(ClientMessage, frozen=True):
     """Delete all series that were retrieved from a PACS from this machine; the answer is ``pacs_connections``."""
 
 
-class SendPlanToPacs(ClientMessage, frozen=True):
+class PlanInPacs(FrozenValue, frozen=True):
+    """The plan of a target, with the connection to a PACS."""
+
+    name: PacsName
+    """Name of the connection."""
+    target_id: Identifier
+
+
+class SendPlanToPacs(PlanInPacs, ClientMessage, frozen=True, tag="send_plan_to_pacs"):
     """Store files of a target's plan in a PACS, by a job; the answer is ``pacs_sent``.
 
     The files contain name and number of the CT's patient, so that the PACS files them with the CT.
     """
 
-    name: PacsName
-    target_id: Identifier
     files: Annotated[tuple[PlanFile, ...], Meta(min_length=1, max_length=3)]
 
 
@@ -205,10 +211,9 @@ class PacsPreviewMessage(ServerMessage, frozen=True):
     """Null if the image cannot be shown."""
 
 
-class PacsSentMessage(ServerMessage, frozen=True):
+class PacsSentMessage(PlanInPacs, ServerMessage, frozen=True, tag="pacs_sent"):
     """Files of a plan that the PACS has stored, and those that it refused."""
 
-    name: PacsName
     num_stored: Count
     refused: Annotated[tuple[Words, ...], Meta(max_length=3)]
 
@@ -219,3 +224,5 @@ class PacsProblemMessage(ServerMessage, frozen=True):
     task: PacsTask
     code: Identifier
     problem: Words
+    target_id: Identifier | None = None
+    """Target whose plan could not be sent (task ``send``); null for other tasks."""

@@ -497,8 +497,10 @@ function Archive({ target }: { target: Target }) {
   const problem = useApp((state) => state.plans?.dicom_problem ?? null);
   const making = useApp((state) => state.ui.making);
   const [named, setNamed] = useState(false);
+  // The saved connections are requested only when they are shown.
+  const [isOpen, setOpen] = useState(false);
   return (
-    <details className="plan-options" data-testid="archive">
+    <details className="plan-options" data-testid="archive" onToggle={(event) => setOpen(event.currentTarget.open)}>
       <summary>DICOM for the archive</summary>
       {problem === null ? (
         <>
@@ -522,7 +524,7 @@ function Archive({ target }: { target: Target }) {
           <p className="quiet">
             {named ? "The files name the patient." : "The files name nobody, but keep the CT's identifiers (UIDs)."}
           </p>
-          <SendToPacs targetId={target.target_id} />
+          {isOpen ? <SendToPacs targetId={target.target_id} /> : null}
         </>
       ) : (
         <p className="quiet" data-testid="archive-problem">
