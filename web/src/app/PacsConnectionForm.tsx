@@ -1,8 +1,8 @@
 /** Form that adds or edits the connection to a PACS: DICOM (DIMSE) or DICOMweb. */
 
 import { useState } from "react";
-import { Button, Form, Input, Label, TextField } from "react-aria-components";
-import { NEW_CONNECTION } from "../state/pacs";
+import { Button, FieldError, Form, Input, Label, TextField } from "react-aria-components";
+import { NEW_CONNECTION, portOf } from "../state/pacs";
 import type { PacsFields } from "../wire/messages";
 import { useStation } from "./context";
 import { Act, Choice } from "./controls";
@@ -24,6 +24,9 @@ export function PacsConnectionForm({ connection, names, onSent, onCancel }: Pacs
   const [fields, setFields] = useState<PacsFields>(connection ?? NEW_CONNECTION);
   const [kind, setKind] = useState<Kind>(connection !== null && connection.url !== "" ? "web" : "dimse");
   const [password, setPassword] = useState<string | null>(null);
+  const [port, setPort] = useState(String(fields.port));
+  const [listenPort, setListenPort] = useState(fields.listen_port === null ? "" : String(fields.listen_port));
+  const hasListenPort = listenPort.trim() !== "";
   const change = (part: Partial<PacsFields>) => setFields((before) => ({ ...before, ...part }));
   const name = fields.name.trim();
   const isTaken = names.includes(name) && name !== connection?.name;
@@ -31,11 +34,16 @@ export function PacsConnectionForm({ connection, names, onSent, onCancel }: Pacs
   const isComplete =
     name !== "" &&
     !isTaken &&
-    (isWeb ? fields.url.trim() !== "" : fields.host.trim() !== "" && fields.called_ae !== "");
+    (isWeb
+      ? fields.url.trim() !== ""
+      : fields.host.trim() !== "" &&
+        fields.called_ae !== "" &&
+        portOf(port) !== null &&
+        (!hasListenPort || portOf(listenPort) !== null));
   const save = () => {
     const saved: PacsFields = isWeb
       ? { ...NEW_CONNECTION, ...fields, called_ae: fields.called_ae || "ANY-SCP", listen_port: null, name }
-      : { ...fields, url: "", user: "", name };
+      : { ...fields, port: portOf(port) ?? fields.port, listen_port: portOf(listenPort), url: "", user: "", name };
     const sent = station.send({
       type: "save_pacs",
       connection: saved,
@@ -104,12 +112,7 @@ export function PacsConnectionForm({ connection, names, onSent, onCancel }: Pacs
               hint="pacs.example.org"
               testId="host"
             />
-            <NumberEntry
-              label="Port"
-              value={fields.port}
-              onChange={(port) => change({ port: port ?? 104 })}
-              testId="port"
-            />
+            <PortEntry label="Port" text={port} onChange={setPort} testId="port" />
           </div>
           <div className="pacs-pair">
             <Entry
@@ -126,13 +129,14 @@ export function PacsConnectionForm({ connection, names, onSent, onCancel }: Pacs
             />
           </div>
           <p className="quiet small">The administrator of the PACS enters the AE title of this machine there.</p>
-          <NumberEntry
+          <PortEntry
             label="Port for images (C-MOVE), only if the PACS needs it"
-            value={fields.listen_port}
-            onChange={(listen_port) => change({ listen_port })}
+            text={listenPort}
+            onChange={setListenPort}
             testId="listen-port"
+            isOptional
           />
-          {fields.listen_port === null ? null : (
+          {!hasListenPort ? null : (
             <>
               <Entry
                 label="Address for images (empty: the address from which this machine reaches the PACS)"
@@ -150,7 +154,8 @@ export function PacsConnectionForm({ connection, names, onSent, onCancel }: Pacs
             <input
               type="checkbox"
               checked={fields.tls}
-              disabled={fields.listen_port !== null}
+              // A checked box can always be cleared, because the server refuses both together.
+              disabled={hasListenPort && !fields.tls}
               onChange={(event) => change({ tls: event.target.checked })}
             />
             Encrypt the connection (TLS)
@@ -193,30 +198,22 @@ function Entry({ label, value, onChange, testId, type = "text", hint = "" }: Ent
   );
 }
 
-interface NumberEntryProps {
+interface PortEntryProps {
   label: string;
-  value: number | null;
-  onChange: (value: number | null) => void;
+  text: string;
+  onChange: (text: string) => void;
   testId: string;
+  isOptional?: boolean;
 }
 
-/** Render the field of a port; text that is not a port from 1 to 65535 stands for no port. */
-function NumberEntry({ label, value, onChange, testId }: NumberEntryProps) {
-  const [text, setText] = useState(value === null ? "" : String(value));
+/** Render the field of a port; a text that is not a port stays in the field, with the reason below it. */
+function PortEntry({ label, text, onChange, testId, isOptional = false }: PortEntryProps) {
+  const isInvalid = portOf(text) === null && !(isOptional && text.trim() === "");
   return (
-    <TextField
-      value={text}
-      inputMode="numeric"
-      maxLength={5}
-      onChange={(next) => {
-        const digits = next.replace(/\D/g, "");
-        setText(digits);
-        const port = Number(digits);
-        onChange(digits !== "" && port >= 1 && port <= 65535 ? port : null);
-      }}
-    >
+    <TextField value={text} inputMode="numeric" maxLength={20} onChange={onChange} isInvalid={isInvalid}>
       <Label>{label}</Label>
       <Input data-testid={`pacs-${testId}`} autoComplete="off" />
+      <FieldError data-testid={`pacs-${testId}-error`}>Enter a number from 1 to 65535.</FieldError>
     </TextField>
   );
 }
