@@ -82,6 +82,33 @@ def pictures(workstation, name):
     workstation.page.set_viewport_size({"width": 1440, "height": 900})
 
 
+def check_ports(workstation, port):
+    """Check that a text which is not a port is stated and not saved, and that a checked TLS box can be cleared."""
+    page = workstation.page
+    save, field = page.get_by_test_id("save-pacs"), page.get_by_test_id("pacs-port")
+    assert save.is_enabled()
+    for text in ("70000", "1o4", ""):
+        field.fill(text)
+        page.get_by_test_id("pacs-port-error").wait_for()
+        assert field.input_value() == text
+        assert save.is_disabled()
+    field.fill(str(port))
+    page.get_by_test_id("pacs-port-error").wait_for(state="detached")
+    images, tls = page.get_by_test_id("pacs-listen-port"), page.get_by_role("checkbox", name="TLS")
+    images.fill("70000")
+    page.get_by_test_id("pacs-listen-port-error").wait_for()
+    assert save.is_disabled()
+    assert tls.is_disabled()
+    pictures(workstation, "pacs-invalid-port")
+    images.fill("")
+    tls.check()
+    images.fill("11112")
+    tls.uncheck()
+    assert tls.is_disabled()
+    images.fill("")
+    assert save.is_enabled()
+
+
 def check_series_list(workstation):
     """Check the list of series: pictures, facts and the reason of the preselected one; open another one."""
     page = workstation.page
@@ -167,8 +194,8 @@ def test_pacs_is_searched_and_a_series_is_retrieved_and_opened(server, workstati
         workstation.picture("pacs-add-empty")
         page.get_by_test_id("pacs-name").fill("hospital")
         page.get_by_test_id("pacs-host").fill("127.0.0.1")
-        page.get_by_test_id("pacs-port").fill(str(orthanc.dicom_port))
         page.get_by_test_id("pacs-called-ae").fill("NOBODY")
+        check_ports(workstation, orthanc.dicom_port)
         pictures(workstation, "pacs-add")
         page.get_by_test_id("save-pacs").click()
 
@@ -191,6 +218,13 @@ def test_pacs_is_searched_and_a_series_is_retrieved_and_opened(server, workstati
         studies.wait_for()
         assert "Muster, Erika" in studies.inner_text()
         pictures(workstation, "pacs-studies")
+        # The names leave the page with the dialog.
+        page.keyboard.press("Escape")
+        page.get_by_test_id("pacs").wait_for(state="detached")
+        assert page.evaluate("JSON.stringify(window.__carina.state.pacs)").count("Muster") == 0
+        page.get_by_test_id("open-pacs").click()
+        page.get_by_test_id("pacs-patient").fill("Muster")
+        page.keyboard.press("Enter")
         studies.get_by_role("button").first.click()
         workstation.wait_for("Object.keys(window.__carina.state.pacs.previews).length === 3")
         rows = page.get_by_test_id("pacs-series").locator("li")
@@ -235,3 +269,24 @@ def test_pacs_is_searched_and_a_series_is_retrieved_and_opened(server, workstati
         sent.scroll_into_view_if_needed()
         pictures(workstation, "pacs-sent")
         assert workstation.faults == []
+
+
+def test_page_on_another_machine_shows_no_control_of_the_pacs(server, workstation):
+    page = workstation.page
+
+    def as_other_machine(route):
+        upstream = route.connect_to_server()
+        upstream.on_message(
+            lambda data: route.send(
+                data.replace('"at_machine":true', '"at_machine":false') if isinstance(data, str) else data
+            )
+        )
+
+    page.route_web_socket("**/ws*", as_other_machine)
+    workstation.open(server)
+    workstation.wait_for("window.__carina.state.start !== null")
+    page.get_by_role("button", name="Choose folder").wait_for()
+    assert workstation.state("atMachine") is False
+    assert page.get_by_test_id("open-pacs").count() == 0
+    pictures(workstation, "pacs-other-machine")
+    assert workstation.faults == []
