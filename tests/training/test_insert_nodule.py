@@ -18,7 +18,7 @@ from carina.plan.report import make_sheet, write_report
 from carina.render import AirwayView, Renderer, read_png_badges
 from carina.scopes import Pose
 from carina.training import free_nodule_position, insert_nodule
-from carina.training.ct_texture import edge_shares, measured_texture
+from carina.training.ct_texture import SLAB, _covariance, _pair_sums, edge_shares, measured_texture
 from carina.training.insert_nodule import voxel_shares
 from carina.training.nodule_shape import NoduleShape
 from carina.volume import Volume, badges_of, write_grid
@@ -125,6 +125,14 @@ def test_oblique_edges_in_thick_slices_do_not_widen_the_blur_in_the_slice():
     assert texture.sigma_mm[2] == pytest.approx(1.6, abs=0.25)
 
 
+@pytest.mark.parametrize(("sigma_mm", "spacing_mm", "num"), [(1.0, 1.2, 76), (1.2, 2.0, 48), (1.3, 2.5, 44)])
+def test_blur_of_large_voxels_is_measured_at_curved_boundaries(sigma_mm, spacing_mm, num):
+    noise = np.random.default_rng(3).normal(0.0, 12.0, (num, num, num))
+    texture = measured_texture(ball_of_lung((sigma_mm,) * 3, (spacing_mm,) * 3, noise), (spacing_mm,) * 3)
+    assert texture.sigma_mm == pytest.approx((sigma_mm,) * 3, rel=0.07)
+    assert min(texture.num_edges) > 0
+
+
 def correlated_noise(shape, seed):
     """Return noise of 20 HU with a fine and a coarse part, other along x than along y, weakly correlated along z."""
     rng = np.random.default_rng(seed)
@@ -139,6 +147,31 @@ def covariances(noise, lags):
     """Return the covariances of noise (nz, ny, nx) at lags (z, y, x)."""
     nz, ny, nx = noise.shape
     return [float((noise[: nz - k, : ny - j, : nx - i] * noise[k:, j:, i:]).mean()) for k, j, i in lags]
+
+
+@pytest.mark.parametrize("num_slices", [3, SLAB, SLAB + 1, SLAB + 4, 2 * SLAB + 5])
+def test_covariance_is_measured_for_every_number_of_slices(num_slices):
+    """The last slab of slices may be thinner than the largest distance between two voxels, 5 slices here."""
+    noise = np.random.default_rng(6).normal(0.0, 20.0, (num_slices, 60, 60))
+    # Soft tissue with a strip of lung, near which the noise is measured.
+    values = (40.0 + noise).astype(np.float32)
+    values[:, :, :6] = -850.0
+    covariance, num = _covariance(values, (1.1, 1.1, 1.1))
+    assert covariance.shape == (11, 11, 11)
+    assert num > 1500
+    assert np.sqrt(covariance.max()) == pytest.approx(20.0, rel=0.1)
+    assert covariance.max() == covariance[5, 5, 5]
+
+
+@pytest.mark.parametrize("num_slices", [1, 2, 4, 9])
+def test_sums_of_pairs_in_few_slices_are_those_of_all_pairs(num_slices):
+    values = np.random.default_rng(8).normal(size=(num_slices, 6, 7))
+    sums = _pair_sums(values, [5, 2, 3])
+    assert sums.shape == (11, 5, 7)
+    wide = np.pad(values, [(5, 5), (2, 2), (3, 3)])
+    for k, j, i in np.ndindex(sums.shape):
+        part = wide[k : k + num_slices, j : j + 6, i : i + 7]
+        assert sums[k, j, i] == pytest.approx(float((values * part).sum()), abs=1e-9)
 
 
 LAGS = ((0, 0, 0), (0, 0, 1), (0, 0, 2), (0, 0, 4), (0, 1, 0), (0, 2, 0), (0, 4, 0), (1, 0, 0), (1, 1, 1))

@@ -25,11 +25,12 @@ SIDE_MM = 2.4
 """Distance in mm on both sides of an edge in which the CT must be homogeneous for the edge to be measured."""
 SIDE_SPREAD_HU = 90.0
 """Largest standard deviation in HU of one side of an edge, above that of the noise."""
-MAX_SLOPE_ACROSS = 0.3
-"""Largest slope across the axis of an edge as a share of the slope along it, and largest shift of the edge between
-neighbouring voxels across the axis, in voxels along the axis.
+MAX_SLOPE_ACROSS, MAX_TILT_MM, MAX_TILT_VOXELS = 0.3, 0.2, 0.3
+"""Largest slope across the axis of an edge, as a share of the slope along the axis, and largest shift of the edge
+between neighbouring voxels across the axis: in mm, or in voxels along the axis if that is more.
 
-The blur across thick slices widens the profile of an oblique edge in the slice.
+The blur across thick slices widens the profile of an oblique edge in the slice. The shift is compared with the voxel,
+because the blur of large voxels is wider.
 """
 LEAST_EDGES = 40
 BIN_MM = 0.1
@@ -168,7 +169,8 @@ def _edge_profile(
     slopes = [np.gradient(np.moveaxis(soft, 2 - axis_ijk, -1), axis=n) for n in range(3)]
     order = [a for a in (2, 1, 0) if a != axis_ijk]
     slopes[0], slopes[1] = (slopes[n] * step / spacing_mm[a] for n, a in enumerate(order))
-    limits = [MAX_SLOPE_ACROSS * min(1.0, step / spacing_mm[a]) for a in order]
+    tilt_mm = max(MAX_TILT_MM, MAX_TILT_VOXELS * step)
+    limits = [min(MAX_SLOPE_ACROSS, tilt_mm / spacing_mm[a]) for a in order]
     size = along.shape[-1]
     if size < 2 * half + 3:
         return np.empty(0), np.empty(0)
@@ -306,7 +308,7 @@ def _grown(mask: NDArray[np.bool_], spacing_zyx: tuple[float, ...], reach_mm: fl
 
 def _pair_sums(values: Floats, lags: list[int]) -> Floats:
     """Return the sums of the products of all pairs of values by their distance, (2c+1, 2b+1, 2a+1)."""
-    # Wide enough for all lags, also where a slab has fewer slices than the largest lag.
+    # The zeros beyond the values prevent pairs across the period. The last slab may be thinner than the longest lag.
     wide = [max(n + lag, 2 * lag + 1) for n, lag in zip(values.shape, lags, strict=True)]
     sums = np.fft.irfftn(np.abs(np.fft.rfftn(values, s=wide, axes=(0, 1, 2))) ** 2, s=wide, axes=(0, 1, 2))
     sums = np.roll(sums, lags, axis=(0, 1, 2))
