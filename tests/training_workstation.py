@@ -8,7 +8,7 @@ import time
 from pathlib import Path
 
 from carina.case.recordings import RecordingFacts
-from carina.commands import FlightFileQuery, OpenPath, StartTask, Steer, TrainingOf
+from carina.commands import CloseCase, FlightFileQuery, OpenPath, StartTask, Steer, TrainingOf
 from carina.errors import CarinaError
 from carina.session import CaseRecords, Session, UserMessage, case_files, default_parts
 from carina.session.training.attempts import TrainingHandlers
@@ -71,6 +71,10 @@ class Workstation:
         num = len(self.attempts)
         self.session.do(StartTask(task))
         until(lambda: len(self.attempts) > num)
+
+    def close_case(self):
+        """Close the case during a task, as an opening does that began before the task."""
+        self.session._handlers[CloseCase](CloseCase())
 
     def follow(self, seconds: float) -> bool:
         """Let time pass, and follow the newest attempt; return whether it continues."""

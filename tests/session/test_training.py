@@ -14,7 +14,6 @@ import carina
 from cached_test_data import MASKED_CHEST, cached_airways, cached_phantom
 from carina.commands import (
     AnswerQuiz,
-    CloseCase,
     NextQuestion,
     PauseTask,
     RecordFlight,
@@ -195,7 +194,7 @@ def test_attempts_of_one_task_are_numbered(workstation):
 def test_attempt_ends_when_the_case_is_closed(workstation):
     workstation.start("find-lb6")
     workstation.follow(0.3)
-    workstation.session.do(CloseCase())
+    workstation.close_case()
     assert not workstation.follow(0.1)
     assert workstation.info == type(workstation.info)()
 
@@ -209,7 +208,7 @@ def test_closed_case_of_an_attempt_and_of_a_quiz_is_released(workstation):
     # Other tests of this process may hold cases of their own.
     number = id(case)
     del case
-    workstation.session.do(CloseCase())
+    workstation.close_case()
 
     def is_released() -> bool:
         gc.collect()
@@ -237,7 +236,7 @@ def test_closing_a_case_stops_the_score_of_an_attempt_that_it_ends(workstation, 
 
     monkeypatch.setattr(attempts, "read_recording", score)
     monkeypatch.setattr(session._saving, "release_case", release_slowly)
-    session.do(CloseCase())
+    workstation.close_case()
     running = session.jobs.running
     go.set()
     assert all(job.cancel() for job in running)

@@ -5,6 +5,8 @@ from __future__ import annotations
 import dataclasses
 import errno
 import json
+import threading
+from pathlib import Path
 
 import pytest
 
@@ -12,6 +14,8 @@ import carina
 from cached_test_data import MASKED_CHEST, cached_airways, cached_phantom
 from carina.commands import (
     AddLearner,
+    BeginAnew,
+    Cancel,
     ChooseLearner,
     CloseCase,
     CutBranch,
@@ -19,7 +23,13 @@ from carina.commands import (
     EditTree,
     FlyFlight,
     GoTo,
+    OpenCaseFile,
+    OpenDemo,
+    OpenFiles,
+    OpenPath,
     OpenRecent,
+    OpenSeries,
+    OpenVolume,
     ReadTrainingFiles,
     RemoveLearner,
     ScoreFlight,
@@ -32,11 +42,14 @@ from carina.commands import (
     StopTask,
     ToggleMode,
     Undo,
+    all_commands,
 )
 from carina.errors import NoResultError, UsageError
 from carina.navigate import HandleSample
 from carina.navigate.moves import SetMode as MoveToMode
 from carina.session import ErrorEvent
+from carina.session.training import attempts
+from carina.session.training.attempts import REFUSED_COMMANDS
 from carina.training import Course, TaskFolder, find_task, segments_of_case, task_to_json
 from training_workstation import Workstation, flights, until
 
@@ -171,7 +184,17 @@ def test_flight_contains_no_pseudonym(workstation):
         FlyFlight(1, 0.0),
         SetRoot((0.0, 0.0, 0.0)),
         Undo(),
+        OpenPath("/scans/another"),
+        OpenSeries("another"),
+        OpenCaseFile(Path("/scans/another.carina")),
+        OpenDemo("phantom"),
+        OpenRecent("another"),
+        OpenFiles("/uploads/another"),
+        OpenVolume(None),
+        BeginAnew(),
+        CloseCase(),
     ],
+    ids=lambda command: type(command).__name__,
 )
 def test_command_that_would_end_the_attempt_is_refused_and_the_attempt_continues(workstation, command):
     workstation.start("inspect-all")
@@ -233,6 +256,117 @@ def test_attempt_that_a_device_or_the_disk_ends_is_scored_and_does_not_count(wor
     assert any("cut off" in words or "early" in words for words in score.doubts)
 
 
+def test_every_command_that_opens_or_closes_a_case_is_refused_during_a_task():
+    """Commands of this name in later versions must be added to the refused ones as well."""
+    opening = {one for one in all_commands() if one.__name__.startswith(("Open", "Close", "BeginAnew"))}
+    assert opening <= {*REFUSED_COMMANDS}
+    assert len(opening) == 9
+
+
+def test_opening_that_began_before_the_task_ends_the_attempt_with_a_message(workstation, monkeypatch, tmp_path):
+    session, go = workstation.session, threading.Event()
+    session.do(AddLearner("one"))
+    read = session._core.parts.open_volume
+
+    def read_slowly(*what):
+        assert go.wait(60.0)
+        return read(*what)
+
+    parts = dataclasses.replace(session._core.parts, open_volume=read_slowly)
+    monkeypatch.setattr(session._core, "parts", parts)
+    number = session.snapshot().case_number
+    (tmp_path / "other").mkdir()
+    session.do(OpenPath(str(tmp_path / "other")))
+    workstation.start("inspect-all")
+    workstation.advance_tip(20.0)
+    go.set()
+    until(lambda: session.snapshot().case_number != number)
+    assert not workstation.follow(0.1)
+    assert reported(workstation, "because the case was closed: its flight is stored in the case")
+
+
+# ------------------------------------------------------------ scores that are stopped
+
+
+@pytest.fixture
+def slow_scores(monkeypatch):
+    """Make each score of a recording wait for the event, and count the begun ones."""
+    go, begun, read = threading.Event(), [], attempts.read_recording
+
+    def read_slowly(*what):
+        begun.append(what)
+        assert go.wait(60.0)
+        return read(*what)
+
+    monkeypatch.setattr(attempts, "read_recording", read_slowly)
+    yield go, begun
+    go.set()
+
+
+def end_unscored(workstation, begun):
+    """Fly an attempt and end it; return once its score has begun."""
+    num = len(begun)
+    workstation.start("inspect-all")
+    workstation.advance_tip(20.0 + 2.0 * num)
+    workstation.session.do(StopTask())
+    until(lambda: len(begun) > num)
+
+
+def test_score_of_an_attempt_is_stored_although_a_second_attempt_is_scored(workstation, slow_scores):
+    go, begun = slow_scores
+    workstation.session.do(AddLearner("one"))
+    for _ in range(2):
+        end_unscored(workstation, begun)
+    go.set()
+    workstation.scored(2)
+    until(lambda: num_attempts(workstation) == {"one": 2})
+    assert not reported(workstation, "is not stored yet")
+
+
+@pytest.mark.parametrize(
+    ("stop", "remedy"),
+    [
+        (lambda session: session.do(Cancel(session.jobs.running[0].job_id)), "stopped: choose Score it"),
+        (lambda session: session.do(CloseCase()), "stopped: open the case again and choose Score it"),
+        (lambda session: session.do(BeginAnew()), "stopped: open the case again and choose Score it"),
+    ],
+    ids=["cancelled", "closed", "another case"],
+)
+def test_score_that_is_stopped_is_reported_and_stored_by_scoring_the_flight_again(
+    workstation, slow_scores, stop, remedy
+):
+    go, begun = slow_scores
+    session = workstation.session
+    session.do(AddLearner("one"))
+    number = session.snapshot().case_number
+    end_unscored(workstation, begun)
+    stop(session)
+    until(lambda: all(job.cancel() for job in session.jobs.running if job.kind.startswith("score")))
+    go.set()
+    until(lambda: reported(workstation, f"attempt 1 is not stored yet, because its computation was {remedy}"))
+    until(lambda: not session.jobs.running)
+    assert num_attempts(workstation) == {"one": 0}
+    if session.snapshot().case_number != number:
+        (entry,) = session.cases.listed()
+        session.do(OpenRecent(entry.recent_id))
+        until(lambda: session.snapshot().airways == "found")
+        until(lambda: flights(workstation))
+    session.do(ScoreFlight(flights(workstation)[0].number))
+    until(lambda: num_attempts(workstation) == {"one": 1})
+
+
+def test_score_that_is_started_again_is_not_reported_as_stopped(workstation, slow_scores):
+    go, begun = slow_scores
+    session = workstation.session
+    session.do(AddLearner("one"))
+    end_unscored(workstation, begun)
+    session.do(ScoreFlight(flights(workstation)[0].number))
+    go.set()
+    until(lambda: num_attempts(workstation) == {"one": 1})
+    until(lambda: not session.jobs.running)
+    assert not reported(workstation, "is not stored yet")
+
+
 # ------------------------------------------------------------ devices, disks, closed windows
 
 
@@ -284,7 +418,7 @@ def test_closed_case_ends_the_attempt_with_a_message_and_its_flight_is_scored_fo
     session.do(AddLearner("one"))
     workstation.start("inspect-all")
     workstation.advance_tip(20.0)
-    session.do(CloseCase())
+    workstation.close_case()
     assert reported(workstation, "because the case was closed: its flight is stored in the case")
     session.do(ChooseLearner(None))
     (entry,) = session.cases.listed()

@@ -14,7 +14,7 @@ import msgspec
 from carina import commands as c
 from carina.case.document import Document
 from carina.case.scope_choice import document_with_scope
-from carina.errors import NoResultError, UsageError
+from carina.errors import CancelledError, NoResultError, UsageError
 from carina.navigate import FlightPath
 from carina.navigate.moves import LayScope
 from carina.navigate.recording import Recording, TaskOutcome, read_recording
@@ -24,7 +24,7 @@ from carina.session.derived.derived_value import Cached
 from carina.session.flights.recorded_flights import needed_flight, running_flight
 from carina.session.flights.recording import FlightRecorder
 from carina.session.flights.tip_commands import place_pose
-from carina.session.jobs.background_jobs import Job
+from carina.session.jobs.background_jobs import STARTED_AGAIN, Job
 from carina.session.open_case.open_case import OpenCase, as_point
 from carina.session.state.snapshot import UserMessage
 from carina.session.state.training import RunningTask, TaskInfo, TrainingInfo
@@ -74,7 +74,7 @@ CASE_CLOSED = (
     "the task ended early, because the case was closed: its flight is stored in the case; open the case again and "
     "choose Score it. The attempt does not count"
 )
-
+NOT_SCORED = "the score of {flight} is not stored yet, because its computation was stopped: {remedy}choose Score it"
 
 REFUSED_COMMANDS = (
     # These commands take the scope out of the airways, or change it.
@@ -84,6 +84,9 @@ REFUSED_COMMANDS = (
     c.StopRecording,
     # These commands change the airways, or the instrument, or restore former ones.
     c.EditTree, c.SetRoot, c.SetLumenThreshold, c.TakeMask, c.AnswerMask, c.Undo, c.Redo, c.GoToStep,
+    # These commands close the case. The end of the session closes it without a command, so windows can be closed.
+    c.OpenPath, c.OpenSeries, c.OpenCaseFile, c.OpenDemo, c.OpenRecent, c.OpenFiles, c.OpenVolume, c.BeginAnew,
+    c.CloseCase,
 )  # fmt: skip
 """Commands that would end a running attempt, which are refused until the user ends the attempt."""
 TASK_RUNS = "a task is running, and this would end the attempt: choose End the task first"
@@ -410,11 +413,16 @@ class TrainingHandlers(CommandHandlers):
     def _start_scoring(self, case: OpenCase, number: int, task: Task | None) -> str:
         """Start the job that scores a flight, and stores it for the learner who flew; the caller holds the lock."""
         airways = case.document.airways
+        name = next((one.name for one in case.flights.listed if one.recording_id == number), "the flight")
 
         def work(job: Job) -> None:
             if airways is None:
                 raise NoResultError("a score needs the airways: wait for the search", code="training.no-airways")
-            recording, found = self.scored(case, airways, number, task, job)
+            try:
+                recording, found = self.scored(case, airways, number, task, job)
+            except CancelledError:
+                self._report_unscored(case, name, job)
+                raise
             # The recording states the learner who flew, and the task of the attempt.
             if recording.learner is not None and recording.task == task_to_json(found.task):
                 self._course.record(recording.learner, found)
@@ -426,8 +434,17 @@ class TrainingHandlers(CommandHandlers):
                 self._of(case).comparisons.pop(number, None)
                 self.core.changed("training")
 
-        # Each flight has a separate kind, because a job stops an earlier one of the same kind.
+        # The score of another flight is another kind, because a new job stops a running job of its kind.
         return self.core.jobs.start(f"score-{number}", "scoring the flight", work)
+
+    def _report_unscored(self, case: OpenCase, flight: str, job: Job) -> None:
+        """Report that the job of a score was stopped, unless a newer job computes the score of the same flight."""
+        if job.stop_reason == STARTED_AGAIN:
+            return
+        with self.core.lock:
+            is_open = self.core.case is case and job.stop_reason is None
+            remedy = "" if is_open else "open the case again and "
+            self.core.emit(UserMessage(NOT_SCORED.format(flight=flight, remedy=remedy)))
 
     def scored(
         self, case: OpenCase, airways: Airways, number: int, task: Task | None, job: Job

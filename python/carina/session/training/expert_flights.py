@@ -97,7 +97,7 @@ class ExpertHandlers(CommandHandlers):
                     self._training.note_comparison(case, number, found)
                     self.core.changed("training")
 
-        return self.core.jobs.start("score", "comparing the flights", work)
+        return self.core.jobs.start(f"compare-{number}", "comparing the flights", work)
 
     def _store_drive(self, case: OpenCase) -> int:
         """Store the simulated drive of the present instrument as the expert's flight, and return its number."""
