@@ -174,6 +174,30 @@ def test_damaged_file_is_reported_and_never_changed(tmp_path, text):
     assert damaged.read_text() == text
 
 
+@pytest.mark.parametrize("name", ["KEY (1)", "Copy of KEY", "blue", "KEY0", "KEY\u202e"])
+def test_copied_or_renamed_file_is_reported_and_not_listed(tmp_path, scores, name):
+    course = Course(tmp_path)
+    course.add("Blue heron")
+    course.record("Blue heron", scores[0])
+    (path,) = tmp_path.glob("*.learner.json")
+    copy = tmp_path / f"{name.replace('KEY', path.name.removesuffix('.learner.json'))}.learner.json"
+    text = path.read_text()
+    copy.write_text(text)
+    (learner,) = course.learners()
+    assert learner.key == path.name.removesuffix(".learner.json")
+    (problem,) = course.problems()
+    assert copy.name.replace("\u202e", "\\u202e") in problem
+    assert "was copied or renamed, and is not used" in problem
+    # Attempts are stored in the file with the learner's key.
+    course.record("Blue heron", scores[1])
+    assert len(Course(tmp_path).learner("Blue heron").attempts) == 2
+    assert copy.read_text() == text
+    path.unlink()
+    assert course.learners() == ()
+    with pytest.raises(UsageError, match="learner: expected one of none"):
+        course.record("Blue heron", scores[0])
+
+
 @pytest.mark.parametrize(
     "change",
     [

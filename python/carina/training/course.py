@@ -25,6 +25,7 @@ from carina.argument_checks import check_arguments, file_path, instance, text_of
 from carina.disk import disk_trouble, make_folder, read_regular_text, write_whole
 from carina.disk.locks import try_lock
 from carina.display import one_line
+from carina.display.escaped_text import printable
 from carina.errors import DiskError, UsageError
 from carina.training.flight_frames import REPEATED_SHARE
 from carina.training.log_files import score_values, xapi_statements
@@ -38,6 +39,10 @@ LOCK = ".learners.lock"
 """File that a process locks while it changes the learners; other processes wait."""
 LOCK_WAIT_S = 20.0
 LOCK_POLL_S = 0.01
+RENAMED = (
+    "the file {name} of a learner was copied or renamed, and is not used: expected a name of 16 hexadecimal digits and "
+    f"{SUFFIX}, which Carina gave to the file; restore this name, or delete the copy"
+)
 UNREADABLE = "the file of this learner cannot be read; it is left unchanged"
 MAX_NAME = 40
 MAX_BYTES = 256 << 20
@@ -262,11 +267,11 @@ class Course:
         return self._folder
 
     def learners(self) -> tuple[Learner, ...]:
-        """Return the learners in the order of their names, without those of damaged files."""
+        """Return the learners in the order of their names, without those of damaged and renamed files."""
         return tuple(sorted((one for _, one in self._read()[0]), key=lambda one: one.name.casefold()))
 
     def problems(self) -> tuple[str, ...]:
-        """Return a message for each file that cannot be read; such a file is never changed."""
+        """Return a message for each file that cannot be used as a learner; such a file is never changed."""
         return self._read()[1]
 
     def learner(self, name: str) -> Learner:
@@ -434,7 +439,10 @@ class Course:
         raise UsageError(f"learner: expected one of {names}; found {name!r}", code="training.learner")
 
     def _read(self) -> tuple[list[tuple[Path, Learner]], tuple[str, ...]]:
-        """Return the learners with their files, and a message for each damaged file."""
+        """Return the learners with their files, and a message for each damaged or renamed file.
+
+        A learner in a file with another name has no key, so that no attempt could be stored for this learner.
+        """
         found: list[tuple[Path, Learner]] = []
         problems: list[str] = []
         with self._lock:
@@ -445,8 +453,11 @@ class Course:
             self._known = {path: value for path, value in self._known.items() if path in paths}
             for path in paths:
                 learner = self._learner_in(path)
+                name = printable(path.name)
                 if learner is None:
-                    problems.append(f"the file {path.name} of a learner cannot be read; it is left unchanged")
+                    problems.append(f"the file {name} of a learner cannot be read; it is left unchanged")
+                elif not learner.key:
+                    problems.append(RENAMED.format(name=name))
                 else:
                     found.append((path, learner))
         return found, tuple(problems)
