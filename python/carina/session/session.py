@@ -292,5 +292,6 @@ class Session:
         lost work.
         """
         self._recording.stop()
+        self._course.close()
         self._saving.close(within_s)
         self._core.close()

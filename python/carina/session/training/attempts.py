@@ -281,6 +281,7 @@ class TrainingHandlers(CommandHandlers):
             else:
                 attempt.resume(self.core.clock())
                 self._release_tip(case)
+            self._note_running(attempt)
             self.core.changed("training")
 
     def _device_lost(self, device: str) -> None:
@@ -311,7 +312,6 @@ class TrainingHandlers(CommandHandlers):
         """Follow an attempt until it ends; runs in a thread of the attempt."""
         while self.follow_attempt(case, attempt) and not attempt.ended.wait(SAMPLE_S):
             pass
-        self._course.note_running(attempt.learner, None)
 
     def follow_attempt(self, case: OpenCase, attempt: LiveAttempt) -> bool:
         """Sample the tip, update the score once a second, and end an attempt that is over.
@@ -329,9 +329,16 @@ class TrainingHandlers(CommandHandlers):
             with self.core.lock:
                 if self.core.case is not case or self._of(case).attempt is not attempt:
                     return False
+                self._note_running(attempt)
                 self.core.changed("training")
-            self._course.note_running(attempt.learner, attempt.info(now_s), attempt.task.title)
         return True
+
+    def _note_running(self, attempt: LiveAttempt) -> None:
+        """Pass on the state of an attempt to teachers; the caller holds the session's lock.
+
+        With the lock, a state is never passed on after the end of its attempt.
+        """
+        self._course.note_running(attempt.learner, attempt.info(self.core.clock()), attempt.task.title)
 
     def _sample(self, case: OpenCase, attempt: LiveAttempt) -> bool:
         """Add the present pose to an attempt, and end it where it is over; return whether it continues.
@@ -362,6 +369,7 @@ class TrainingHandlers(CommandHandlers):
         """End an attempt, and score its flight; the caller holds the session's lock."""
         self._of(case).attempt = None
         attempt.ended.set()
+        self._course.note_running(attempt.learner, None)
         self._release_tip(case)
         if self._recorder.flight_number == attempt.flight:
             self._recorder.note_task_end(outcome)
@@ -381,6 +389,7 @@ class TrainingHandlers(CommandHandlers):
         """Release attempt and scores, because their case is being closed; the caller holds the session's lock."""
         if self._state is not None and self._state.attempt is not None:
             self._state.attempt.ended.set()
+            self._course.note_running(self._state.attempt.learner, None)
             self.core.emit(UserMessage(CASE_CLOSED))
         self._state = None
         self.core.tip_held = False

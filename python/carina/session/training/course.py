@@ -76,14 +76,19 @@ class CourseHandlers(CommandHandlers):
                 self._read, self._flown, self._info = found, flown, None
 
     def note_running(self, key: str | None, running: RunningTask | None, title: str = "") -> None:
-        """Store what a learner flies for a teacher, or its end; called without the session's lock."""
+        """Pass on what a learner flies to teachers, or its end; a thread writes the file."""
         if key is None or self._running is None:
             return
         if running is None:
             self._running.end(key)
         else:
-            text = f"{title}: {len(running.steps_done)} of {running.num_steps} steps"
-            self._running.note(key, f"{text}, {running.elapsed_s:.0f} s", running.elapsed_s)
+            text = f"{title}: {len(running.steps_done)} of {running.num_steps} steps, {running.elapsed_s:.0f} s"
+            self._running.note(key, f"{text}, paused" if running.paused else text)
+
+    def close(self) -> None:
+        """Delete the files of running tasks, because the session ends."""
+        if self._running is not None:
+            self._running.close()
 
     def _known(self) -> tuple[tuple[Learner, ...], tuple[str, ...]]:
         """Return learners and problems without reading the disk again."""
