@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 
 import httpx
@@ -14,6 +15,8 @@ from carina.commands import all_commands
 from carina.commands.value import LocalCommand
 from carina.errors import UsageError
 from carina.render import Sight
+from carina.server.files.uploads import Limits, Uploads
+from carina.server.hub import Hub
 from carina.server.observers.page import MAX_WATCHERS
 from carina.server.observers.window import READ_ONLY
 from carina.server.wire import messages as wire
@@ -238,3 +241,67 @@ def test_maximum_number_of_observers_does_not_prevent_further_windows_of_the_use
             another_neutral_path.until_state(lambda s: s.case is not None)
         window.send(wire.Steer(1.0, 0.0, 0.0, 0.0))
         window.until(lambda m: isinstance(m, wire.PoseMessage))
+
+
+class OpenPage:
+    """Viewing page that is open, without a server."""
+
+    is_open, shares_learners = True, False
+
+    async def stop(self, _words):
+        self.shares_learners = False
+
+
+@pytest.fixture
+def hub(monkeypatch):
+    made = Hub(session_fixture().session, Uploads(Limits(num_files=20, total_bytes=10_000, file_bytes=5000)))
+    made._watch_page = OpenPage()
+    monkeypatch.setattr("carina.server.hub.CLASSROOM_S", 0.01)
+    yield made
+    made.session.close()
+    made._uploads.close()
+
+
+def classroom_tasks():
+    return [task for task in asyncio.all_tasks() if "_follow_classroom" in repr(task.get_coro()) and not task.done()]
+
+
+def test_learners_that_are_shared_again_at_once_are_read_by_one_task(hub, monkeypatch):
+    monkeypatch.setattr("carina.server.hub.CLASSROOM_S", 3.0)
+
+    async def switch_quickly():
+        for learners in (True, False, True, False, True):
+            hub._share_learners(learners)
+            await asyncio.sleep(0.0)
+        assert len(classroom_tasks()) == 1
+        hub._share_learners(False)
+        await asyncio.sleep(0.0)
+        assert classroom_tasks() == []
+        hub._share_learners(True)
+        await hub.close_watch_page("closed")
+        await asyncio.sleep(0.0)
+        assert classroom_tasks() == []
+
+    asyncio.run(switch_quickly())
+
+
+def test_reading_of_the_learners_continues_after_a_failure_which_is_logged(hub, monkeypatch, caplog):
+    read = []
+
+    def fail_twice(command):
+        read.append(command)
+        if len(read) < 3:
+            raise OSError("the folder is gone")
+
+    monkeypatch.setattr(hub.session, "do", fail_twice)
+
+    async def read_until_it_succeeds():
+        hub._share_learners(True)
+        async with asyncio.timeout(60.0):
+            while len(read) < 4:
+                await asyncio.sleep(0.01)
+        hub._share_learners(False)
+
+    asyncio.run(read_until_it_succeeds())
+    assert {type(command) for command in read} == {commands.ReadTrainingFiles}
+    assert caplog.text.count("the learners could not be read for the teacher's view: OSError") == 2

@@ -117,6 +117,8 @@ class Hub:
         )
         self._watched_case = 0
         self._switching: set[asyncio.Task[None]] = set()
+        self._following_classroom: asyncio.Task[None] | None = None
+        """Task that reads the learners at intervals; None while they are not shared."""
         self._unsubscribe: Callable[[], None] = lambda: None
 
     # ------------------------------------------------------------ start, stop, and connection of windows
@@ -378,19 +380,29 @@ class Hub:
         for window in self._windows.values():
             if window.watches:
                 window.mark("training")
+        self._stop_following_classroom()
         if learners:
-            self._run_as_task(self._follow_classroom())
+            self._following_classroom = asyncio.get_running_loop().create_task(self._follow_classroom())
 
     async def _follow_classroom(self) -> None:
-        """Read the learners again at intervals while a teacher watches: other machines may use the same folder."""
-        while self._watch_page.shares_learners:
+        """Read the learners again at intervals until cancelled: other machines may use the same folder."""
+        while True:
             await asyncio.sleep(CLASSROOM_S)
-            if self._watch_page.shares_learners:
+            try:
                 await asyncio.to_thread(self.session.do, ReadTrainingFiles())
+            except Exception as error:
+                # The loop continues, because the next reading may succeed.
+                log_fault(logger, "the learners could not be read for the teacher's view", error)
+
+    def _stop_following_classroom(self) -> None:
+        task, self._following_classroom = self._following_classroom, None
+        if task is not None:
+            task.cancel()
 
     async def close_watch_page(self, words: str) -> None:
         """Stop the viewing page, and send the reason ``words`` to every connected observer."""
         await self._watch_page.stop(words)
+        self._stop_following_classroom()
 
     def _start_upload_job(self, command: Command, upload_id: str, window: Window) -> None:
         """Start a job that reads dropped files, which are deleted after the job has ended or if it is refused."""
