@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import json
+import threading
+
 import pytest
 
 import carina
@@ -9,19 +12,24 @@ from cached_test_data import MASKED_CHEST, cached_airways, cached_phantom
 from carina.commands import (
     AddLearner,
     ChooseLearner,
+    ClassroomOf,
     CloseCase,
     CompareFlight,
     LearnerFiles,
     MarkExpert,
     OpenRecent,
     PauseTask,
+    ReadTrainingFiles,
     RemoveFlight,
     RemoveLearner,
     StopTask,
 )
 from carina.errors import DiskError, NoResultError, UsageError
+from carina.server.windows.broadcast_cache import SharedTexts
+from carina.server.wire import messages as wire
 from carina.session import ErrorEvent
-from carina.training import Course
+from carina.training import Course, Learner, running_tasks
+from carina.training.running_tasks import RunningTasks
 from training_workstation import Workstation, flights, until
 
 
@@ -150,3 +158,115 @@ def test_mark_of_the_experts_flight_is_stored_with_the_case(workstation):
     (entry,) = session.cases.listed()
     session.do(OpenRecent(entry.recent_id))
     until(lambda: experts(workstation) == [number])
+
+
+# ------------------------------------------------------------ the teacher's view
+
+
+def teacher_reads(folder, wanted):
+    """Return a condition: a teacher on another machine, who uses the same folder, reads a wanted text."""
+    teacher = RunningTasks(folder)
+    return lambda: any(wanted in text for text in teacher.read().values())
+
+
+def test_teacher_reads_a_running_task_also_during_a_pause_and_not_after_its_end(workstation, tmp_path, monkeypatch):
+    monkeypatch.setattr(running_tasks, "WRITE_AGAIN_S", 0.02)
+    session, folder = workstation.session, tmp_path / "learners"
+    session.do(AddLearner("one"))
+    workstation.start("find-rb6")
+    workstation.advance_tip(40.0)
+    until(teacher_reads(folder, "Find RB6: 0 of 1 steps, "))
+    session.do(PauseTask(True))
+    # The attempt is not followed meanwhile: the file changes nevertheless, so that the learner remains listed.
+    until(teacher_reads(folder, "Find RB6: 0 of 1 steps, 2 s, paused"))
+    session.do(PauseTask(False))
+    until(lambda: "paused" not in next(folder.glob("*.running.json")).read_text())
+    session.do(StopTask())
+    until(lambda: not list(folder.glob("*.running.json")))
+
+
+@pytest.mark.parametrize(
+    "end", [lambda one: one.close_case(), lambda one: one.session.close()], ids=["case", "session"]
+)
+def test_end_of_case_or_session_deletes_the_file_of_the_running_task(workstation, tmp_path, end):
+    folder = tmp_path / "learners"
+    workstation.session.do(AddLearner("one"))
+    workstation.start("find-rb6")
+    workstation.advance_tip(40.0)
+    until(lambda: list(folder.glob("*.running.json")))
+    end(workstation)
+    until(lambda: not list(folder.glob("*.running.json")))
+
+
+def test_folder_that_does_not_respond_does_not_stop_the_sampling_of_the_tip(workstation, monkeypatch):
+    hangs, go = threading.Event(), threading.Event()
+
+    def hang(*_what, **_options):
+        hangs.set()
+        assert go.wait(60.0)
+
+    monkeypatch.setattr(running_tasks, "write_whole", hang)
+    workstation.session.do(AddLearner("one"))
+    workstation.start("inspect-all")
+    workstation.advance_tip(30.0)
+    assert hangs.wait(60.0)
+    workstation.advance_tip(30.0)
+    assert workstation.info.running.elapsed_s == pytest.approx(3.0)
+    go.set()
+    workstation.session.do(StopTask())
+    (score,) = workstation.scored()
+    assert score.unmarked.path_mm == pytest.approx(60.0, abs=3.0)
+
+
+def test_attempts_of_learners_are_judged_once_for_all_teachers(workstation, monkeypatch):
+    session, judged, mastery = workstation.session, [], Learner.mastery
+
+    def counted(learner):
+        judged.append(learner.name)
+        return mastery(learner)
+
+    for name in ("one", "two"):
+        session.do(AddLearner(name))
+        fly(workstation)
+    monkeypatch.setattr(Learner, "mastery", counted)
+    first = session.ask(ClassroomOf())
+    assert [(one.learner.name, len(one.attempts), one.running) for one in first] == [("one", 1, None), ("two", 1, None)]
+    session.do(ReadTrainingFiles())
+    again = session.ask(ClassroomOf())
+    assert all(one is other for one, other in zip(first, again, strict=True))
+    assert judged == []
+    fly(workstation)
+    changed = session.ask(ClassroomOf())
+    assert judged == ["two"], "only the learner with a new attempt"
+    assert changed[0] is first[0]
+    assert len(changed[1].attempts) == 2
+
+
+def test_observers_share_one_text_in_which_only_changed_learners_are_encoded_again(workstation, monkeypatch):
+    session, encoded, encode = workstation.session, [], wire.encode_message
+
+    def counted(message, **fields):
+        encoded.append(type(message).__name__)
+        return encode(message, **fields)
+
+    session.do(AddLearner("Blue heron"))
+    texts = SharedTexts(session, None, print)
+    monkeypatch.setattr(wire, "encode_message", counted)
+    without = json.loads(texts.observed_training(with_learners=False))
+    assert without["classroom"] == []
+    first = texts.observed_training(with_learners=True)
+    assert [one["learner"]["name"] for one in json.loads(first)["classroom"]] == ["Blue heron"]
+    assert json.loads(first) == {**without, "classroom": json.loads(first)["classroom"]}
+    encoded.clear()
+    assert texts.observed_training(with_learners=True) is first
+    assert encoded == []
+    workstation.start("inspect-all")
+    for seconds in (1.0, 2.0):
+        workstation.follow(1.0)
+        shown = json.loads(texts.observed_training(with_learners=True))
+        assert shown["running"]["elapsed_s"] == pytest.approx(seconds)
+        assert shown["classroom"] == json.loads(first)["classroom"]
+    assert encoded == ["TrainingMessage"] * 2, "the list of the learners is not encoded again"
+    texts.observed_training(with_learners=False)
+    assert "heron" not in texts.observed_training(with_learners=False)
+    workstation.session.do(StopTask())

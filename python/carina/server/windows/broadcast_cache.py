@@ -42,6 +42,8 @@ class SharedTexts:
         self._patient_citation = patient_citation
         self._send = send
         self._known: dict[str, tuple[tuple[object, ...], str]] = {}
+        self._observed: tuple[wire.TrainingMessage, str, str] | None = None
+        """Latest training for observers: message, encoded learners, and text, which all observers receive."""
         self._writing: asyncio.Task[None] | None = None
         self._waiting: dict[Outbox, set[str]] = {}
         """Topics, for each window's outbox, to mark for sending after the tree has been encoded."""
@@ -153,9 +155,12 @@ class SharedTexts:
         shown = replace(
             _training_message(info), task_folder=None, task_problems=(), running=running, course=CourseInfo()
         )
-        if with_learners:
-            shown = replace(shown, classroom=self._session.ask(ClassroomOf()))
-        return wire.encode_message(shown)
+        learners = self._session.ask(ClassroomOf()) if with_learners else ()
+        # The attempt changes each second, the much longer list of the learners more rarely.
+        classroom = self._cached_text("classroom", lambda: learners, *learners)
+        if self._observed is None or self._observed[0] != shown or self._observed[1] is not classroom:
+            self._observed = shown, classroom, wire.encode_message(shown, classroom=classroom)
+        return self._observed[2]
 
     def flights(self) -> str:
         """Return the encoded list of flights recorded in the case."""

@@ -180,8 +180,15 @@ def _check_document(value: Any, where: str) -> None:
             _protocol_error("range", f"{where} contains a number that is too large")
 
 
-def encode(message: FrozenValue) -> str:
+def encode(message: FrozenValue, **encoded: str) -> str:
     """Return a message as JSON text, with its ``type`` first.
+
+    Parameters
+    ----------
+    message
+        The message.
+    **encoded
+        JSON texts that replace the values of the fields of these names.
 
     Raises
     ------
@@ -189,7 +196,13 @@ def encode(message: FrozenValue) -> str:
         If a number is not finite: JSON has no NaN, and such a number is a bug of the server.
     """
     # msgspec's encoder would write NaN as null.
-    return json.dumps(msgspec.to_builtins(message), allow_nan=False, separators=(",", ":"))
+    plain = msgspec.to_builtins(message)
+    for name in encoded:
+        del plain[name]
+    text = json.dumps(plain, allow_nan=False, separators=(",", ":"))
+    if not encoded:
+        return text
+    return "".join((text[:-1], *(f',"{name}":{value}' for name, value in encoded.items()), "}"))
 
 
 def encode_picture(header: FrozenValue, payload: bytes) -> bytes:

@@ -176,6 +176,6 @@ def _line_places(payload: bytes, end: int, num_bytes: int) -> list[tuple[int, in
     return places
 
 
-def encode_message(message: Any) -> str:
-    """Encode a message as JSON text."""
-    return encode(message)
+def encode_message(message: Any, **encoded: str) -> str:
+    """Encode a message as JSON text; the JSON texts ``encoded`` replace the values of the fields of these names."""
+    return encode(message, **encoded)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import threading
+from dataclasses import dataclass
 from itertools import takewhile
 from typing import TYPE_CHECKING
 
@@ -19,7 +21,7 @@ from carina.session.state.training import (
 )
 from carina.training import Course, Learner, Score, learner_files
 from carina.training.course import CourseAttempt
-from carina.training.mastery import NOT_AN_INSPECTION
+from carina.training.mastery import NOT_AN_INSPECTION, Mastery
 from carina.training.running_tasks import RunningTasks
 
 if TYPE_CHECKING:
@@ -29,6 +31,15 @@ CLASS_ATTEMPTS = 5
 """Number of attempts of each learner in the teacher's view."""
 NO_LEARNER = "the score was not stored: the learner who flew this attempt is not on this machine"
 NO_COURSE = "this session stores no learners: start Carina with a folder for its data"
+
+
+@dataclass(frozen=True, slots=True)
+class _Summary:
+    """Learner as read from the file, with the values that windows show."""
+
+    learner: Learner
+    info: LearnerInfo
+    attempts: tuple[CourseAttemptInfo, ...]
 
 
 class CourseHandlers(CommandHandlers):
@@ -53,10 +64,13 @@ class CourseHandlers(CommandHandlers):
         self._running = None if course is None else RunningTasks(course.folder)
         self._flown: dict[str, str] = {}
         """Task and progress of each learner who flies now, on any machine that uses the folder, by the key."""
+        self._reading = threading.Lock()
         self._read: tuple[tuple[Learner, ...], tuple[str, ...]] | None = None
         """Learners and problems at the latest reading; None before the first."""
-        self._summaries: dict[str, tuple[Learner, LearnerInfo]] = {}
-        """Summary of each learner, for as long as the learner's file is unchanged."""
+        self._summaries: dict[str, _Summary] = {}
+        """Summary of each learner by the key, for as long as the learner's file is unchanged; replaced as a whole."""
+        self._class_learners: dict[str, ClassLearner] = {}
+        """Each learner in the teacher's view by the key, for as long as summary and running task are unchanged."""
 
     def chosen_key(self) -> str | None:
         """Return the key of the chosen learner; None without one. The caller holds the session's lock."""
@@ -69,11 +83,15 @@ class CourseHandlers(CommandHandlers):
     def read_files(self) -> None:
         """Read the learners again; the caller does not hold the session's lock, since a disk may be slow."""
         course = self._course
-        if course is not None:
+        if course is None:
+            return
+        # The lock prevents that an older reading replaces a newer one, in which a learner was added.
+        with self._reading:
             found = course.learners(), course.problems()
             flown = {} if self._running is None else self._running.read()
+            summaries = _summarised(found[0], self._summaries)
             with self.core.lock:
-                self._read, self._flown, self._info = found, flown, None
+                self._read, self._summaries, self._flown, self._info = found, summaries, flown, None
 
     def note_running(self, key: str | None, running: RunningTask | None, title: str = "") -> None:
         """Pass on what a learner flies to teachers, or its end; a thread writes the file."""
@@ -94,6 +112,7 @@ class CourseHandlers(CommandHandlers):
         """Return learners and problems without reading the disk again."""
         if self._read is None:
             self._read = ((), ()) if self._course is None else (self._course.learners(), self._course.problems())
+            self._summaries = _summarised(self._read[0], self._summaries)
         return self._read
 
     def _learners(self) -> tuple[Learner, ...]:
@@ -186,10 +205,16 @@ class CourseHandlers(CommandHandlers):
     def classroom(self, _question: c.ClassroomOf) -> tuple[ClassLearner, ...]:
         """Return all learners with their latest attempts, for a teacher."""
         with self.core.lock:
-            return tuple(
-                ClassLearner(self._summary(one), _attempts(one)[-CLASS_ATTEMPTS:], self._flown.get(one.key))
-                for one in self._learners()
-            )
+            learners = self._learners()
+            self._class_learners = {one.key: self._class_learner(one.key) for one in learners}
+            return tuple(self._class_learners.values())
+
+    def _class_learner(self, key: str) -> ClassLearner:
+        """Return a learner for a teacher, the same object for as long as the learner has not changed."""
+        summary, running, known = self._summaries[key], self._flown.get(key), self._class_learners.get(key)
+        if known is None or known.learner is not summary.info or known.running != running:
+            return ClassLearner(summary.info, summary.attempts[-CLASS_ATTEMPTS:], running)
+        return known
 
     def info(self) -> CourseInfo:
         """Return the learners, and the attempts of the chosen one; the caller holds the session's lock."""
@@ -199,9 +224,9 @@ class CourseHandlers(CommandHandlers):
             waiting = len(self._unstored)
             self._info = CourseInfo(
                 stores=course is not None,
-                learners=tuple(map(self._summary, learners)),
+                learners=tuple(self._summaries[one.key].info for one in learners),
                 chosen=None if chosen is None else chosen.name,
-                attempts=() if chosen is None else _attempts(chosen),
+                attempts=() if chosen is None else self._summaries[chosen.key].attempts,
                 problems=(
                     *problems,
                     *(
@@ -212,12 +237,6 @@ class CourseHandlers(CommandHandlers):
                 ),
             )
         return self._info
-
-    def _summary(self, learner: Learner) -> LearnerInfo:
-        known = self._summaries.get(learner.key)
-        if known is None or known[0] is not learner:
-            known = self._summaries[learner.key] = (learner, _summary(learner))
-        return known[1]
 
     def _change(self, chosen: str | None) -> None:
         self.read_files()
@@ -231,19 +250,28 @@ class CourseHandlers(CommandHandlers):
         return self._course
 
 
-def _summary(learner: Learner) -> LearnerInfo:
+def _summarised(learners: tuple[Learner, ...], before: dict[str, _Summary]) -> dict[str, _Summary]:
+    """Return the summary of each learner by the key; the summary of an unchanged learner is taken from ``before``."""
+    found = {}
+    for one in learners:
+        known = before.get(one.key)
+        found[one.key] = known if known is not None and known.learner is one else _summary(one)
+    return found
+
+
+def _summary(learner: Learner) -> _Summary:
     mastery = learner.mastery()
-    return LearnerInfo(
+    info = LearnerInfo(
         name=learner.name,
         num_attempts=len(learner.attempts),
         num_counted=mastery.num_counted,
         mastery=mastery.verdict,
         verdict=mastery.words,
     )
+    return _Summary(learner, info, _attempts(learner, mastery))
 
 
-def _attempts(learner: Learner) -> tuple[CourseAttemptInfo, ...]:
-    mastery = learner.mastery()
+def _attempts(learner: Learner, mastery: Mastery) -> tuple[CourseAttemptInfo, ...]:
     judged = iter(zip(mastery.counted, mastery.reasons, strict=True))
     found = []
     for number, one in enumerate(learner.attempts, start=1):
