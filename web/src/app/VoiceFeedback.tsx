@@ -1,7 +1,7 @@
 /** Spoken feedback of an attempt by a voice of this computer; off by default, and absent without such a voice. */
 
 import { useEffect, useRef, useState } from "react";
-import { localVoice, spokenText } from "../state/voice";
+import { localVoice, speechAfter } from "../state/voice";
 import type { RunningTask } from "../wire/messages";
 import { useApp, useStation } from "./context";
 import { SwitchKey } from "./controls";
@@ -42,11 +42,17 @@ export function VoiceFeedback({ running }: { running: RunningTask }) {
   const on = useApp((state) => state.ui.voiceOn);
   const voice = useLocalVoice();
   const before = useRef<RunningTask | null>(null);
+  const spokenStep = useRef<string | null>(null);
   useEffect(() => {
-    const text = spokenText(before.current, running);
-    // The voice begins with the next step when it is switched on.
-    before.current = on ? running : null;
-    if (!on || voice === null || text === null) return;
+    if (!on || voice === null) {
+      // The voice begins with the next step when it is switched on, or when the browser has listed its voices.
+      before.current = null;
+      return;
+    }
+    const { text, step } = speechAfter(before.current, running, spokenStep.current);
+    before.current = running;
+    spokenStep.current = step;
+    if (text === null) return;
     const utterance = new SpeechSynthesisUtterance(text);
     utterance.voice = voice;
     utterance.lang = voice.lang;

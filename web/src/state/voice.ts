@@ -17,12 +17,22 @@ export function localVoice<V extends Voice>(voices: readonly V[]): V | null {
   return voices.find(({ localService, lang }) => localService && /^en\b/i.test(lang)) ?? null;
 }
 
-/** Return the text to speak after a change of the attempt: a new event, or the next step; null for nothing new. */
-export function spokenText(before: RunningTask | null, now: RunningTask): string | null {
-  if (now.paused) return null;
+/** The text to speak after a change of the attempt, null for nothing new, and the last step that was spoken. */
+export interface Speech {
+  readonly text: string | null;
+  readonly step: string | null;
+}
+
+/**
+ * Return the speech after a change of the attempt: a new event, and the next step, unless it was spoken last. The last
+ * spoken step is separate from the state before, because a step that changes during a fault or a pause is spoken later.
+ */
+export function speechAfter(before: RunningTask | null, now: RunningTask, spokenStep: string | null): Speech {
+  const last = before?.flight === now.flight ? spokenStep : null;
+  if (now.paused) return { text: null, step: last };
   const event = now.message !== null && now.message !== before?.message ? sentence(now.message) : null;
-  const step = now.next_step !== null && now.next_step !== before?.next_step ? `Next: ${now.next_step}` : null;
-  // A fault is spoken alone, so that it is not late.
-  if (event !== null && now.is_warning) return event;
-  return [event, step].filter((text) => text !== null).join(" ") || null;
+  // A fault is spoken alone, so that it is not late. The step waits, because a new text stops the one being spoken.
+  if (now.message !== null && now.is_warning) return { text: event, step: last };
+  const step = now.next_step !== null && now.next_step !== last ? `Next: ${now.next_step}` : null;
+  return { text: [event, step].filter((text) => text !== null).join(" ") || null, step: now.next_step ?? last };
 }
