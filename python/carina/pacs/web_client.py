@@ -8,7 +8,6 @@ import logging
 import re
 import ssl
 import struct
-import warnings
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
