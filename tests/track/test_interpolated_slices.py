@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 
+from cached_test_data import cached_phantom
+from carina.track import find_airways, measure_tree
 from carina.track.find.interpolated_slices import INTERPOLATED, MAX_CONFIDENCE, with_interpolated_note
 from carina.track.tree.airway_tree import AirwayTree, Branch
 from carina.volume import Volume, VolumeSource
@@ -52,3 +56,21 @@ def test_branch_mostly_in_interpolated_slices_has_limited_confidence_and_is_name
     assert "1 of 2 branches passes" in note.words
     assert "most of branch 1 is in them" in note.words
     assert [one.confidence for one in changed.branches] == [0.9, MAX_CONFIDENCE]
+
+
+def test_no_calibre_is_measured_in_interpolated_slices():
+    volume = cached_phantom(spacing_mm=2.5, generations=3, noise_hu=0).volume
+    airways = find_airways(volume, progress=False)
+    root = airways.tree.root
+    levels = np.rint(volume.to_ijk(root.points)[:, 2])
+    missing = (int(np.median(levels)),)
+    source = dataclasses.replace(volume.source, interpolated_slices=missing)
+    whole = measure_tree(volume, airways, progress=False).of(root.id)
+    part = measure_tree(dataclasses.replace(volume, source=source), airways, progress=False).of(root.id)
+    unseen = np.isin(levels, missing)
+    assert np.isfinite(whole.equivalent_mm[unseen]).any()
+    assert np.isnan(part.equivalent_mm[unseen]).all()
+    assert np.isnan(part.wall_mm[unseen]).all()
+    assert not part.is_usable[unseen].any()
+    np.testing.assert_array_equal(part.equivalent_mm[~unseen], whole.equivalent_mm[~unseen])
+    assert part.summary.num_sections < whole.summary.num_sections

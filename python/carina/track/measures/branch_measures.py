@@ -436,7 +436,8 @@ def measure_tree(
     -------
     TreeMeasures
         Sections (area, equivalent, least and greatest diameter, wall), forks and summaries. Branches that the CT
-        does not show (drawn by hand, bridges) have a length and no other figure. A stenosis is None if it does not
+        does not show (drawn by hand, bridges) have a length and no other figure, and sections in interpolated slices
+        have none. A stenosis is None if it does not
         exceed its error.
 
     Raises
@@ -503,6 +504,10 @@ def measure_tree(
                 # Where the CT shows no airway, sections are set to NaN, so that no calibre and no narrowing is reported
                 # there.
                 columns = {name: np.full_like(v, np.nan) if name in _FIGURES else v for name, v in columns.items()}
+            else:
+                unseen = _in_interpolated_slices(volume, branch)
+                for name in _FIGURES if unseen.any() else ():
+                    columns[name][unseen] = np.nan
             columns |= {"at_mm": run_mm(branch.points), "found_by": CARINA_VERSION}
         parent = None if branch.parent is None else tree.branch(branch.parent)
         flags = junction_flags(
@@ -529,6 +534,12 @@ def measure_tree(
     if report is not None:
         report("airways measured", 1.0)
     return TreeMeasures(measured, forks, blur, noise, tuple(notes), keys, tree.branches)
+
+
+def _in_interpolated_slices(volume: Volume, branch: Branch) -> NDArray[np.bool_]:
+    """Return the points (n,) of a branch whose nearest slice was interpolated: no calibre was measured there."""
+    levels = np.rint(volume.to_ijk(branch.points)[:, 2])
+    return np.isin(levels, volume.source.interpolated_slices)
 
 
 _COLUMNS = [
