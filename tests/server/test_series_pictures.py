@@ -9,8 +9,8 @@ from types import SimpleNamespace
 import pytest
 from dicom_writer import series
 
-from carina.commands import CtFolder
-from carina.errors import CancelledError, UsageError
+from carina.commands import SeriesFiles
+from carina.errors import CancelledError
 from carina.server.series_pictures import start_series_pictures, stop_series_pictures
 from carina.server.wire import messages as wire
 
@@ -24,9 +24,7 @@ class SmallSession:
         self._cancel = cancel
 
     def ask(self, question):
-        assert isinstance(question, CtFolder)
-        if self.path is None:
-            raise UsageError("the CT was dropped into the window", code="plan.not-dicom")
+        assert isinstance(question, SeriesFiles)
         return self.path
 
     def _start(self, kind, _title, work):
@@ -62,6 +60,7 @@ def test_closed_list_stops_the_job(tmp_path):
     assert session.kind in session.stopped
 
 
-def test_dropped_ct_without_a_known_folder_is_refused():
-    with pytest.raises(UsageError, match="dropped"):
-        start_series_pictures(SmallSession(None), 1, lambda _: None)
+def test_no_job_starts_if_the_files_of_the_series_are_not_known():
+    session = SmallSession(None)
+    start_series_pictures(session, 1, lambda _: None)
+    assert not hasattr(session, "kind")

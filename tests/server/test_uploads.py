@@ -218,3 +218,17 @@ def test_cancelled_or_closed_upload_is_removed_from_the_disk(uploads):
     folder = uploads._uploads[second].scratch.path
     uploads.close()
     assert not folder.exists()
+
+
+def test_retained_upload_stays_while_others_replace_each_other(uploads):
+    first = uploads.begin()
+    add(uploads, first, "a", b"1")
+    place = uploads.place(first)
+    uploads.retain(first)
+    others = [uploads.begin() for _ in range(3)]
+    assert place.exists()
+    assert uploads.contains(first, place)
+    assert not uploads.contains(others[0], place), "the oldest upload that is not retained was deleted"
+    assert not uploads.contains(others[-1], place)
+    uploads.discard(first)
+    assert not place.exists()

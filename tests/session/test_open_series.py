@@ -85,3 +85,17 @@ def test_unknown_series_is_refused_and_the_open_case_stays(workstation, folder):
     workstation.do(c.OpenPath(str(folder)), c.OpenSeries("9"))
     assert workstation.errors()[-1] == "usage.series"
     np.testing.assert_array_equal(workstation.voxels, chest())
+
+
+def test_other_series_of_dropped_files_opens_and_no_path_of_them_is_stored(workstation, folder):
+    workstation.do(c.OpenFiles(str(folder)))
+    assert workstation.session.ask(c.SeriesFiles()) == folder
+    workstation.do(c.OpenSeries("4"))
+    np.testing.assert_array_equal(workstation.voxels, chest(16, seed=6))
+    assert workstation.session.ask(c.SeriesFiles()) == folder
+    assert all(record.place is None for record in workstation.records.all())
+
+
+def test_files_of_a_dropped_folder_with_one_series_are_not_needed_later(workstation, tmp_path):
+    workstation.do(c.OpenFiles(str(series(tmp_path / "one"))))
+    assert workstation.session.ask(c.SeriesFiles()) is None

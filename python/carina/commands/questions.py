@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Annotated, Any, Generic, Literal, TypeVar
 
 from msgspec import Meta
@@ -98,6 +99,13 @@ class CtFolder(Query[Any], frozen=True):
     """Path of the folder of the CT's DICOM files.
 
     UsageError (``plan.not-dicom``) states the reason if the folder is unknown.
+    """
+
+
+class SeriesFiles(Query[Path | None], frozen=True):
+    """Folder, file or archive with all series that were found beside the open CT; None if it is not known.
+
+    Dropped files are in a temporary folder, which must exist as long as the answer is its path.
     """
 
 

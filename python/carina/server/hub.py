@@ -17,6 +17,7 @@ from carina.commands import (
     MeasureMovementFromFiles,
     OpenFiles,
     ReadTrainingFiles,
+    SeriesFiles,
     TakeKeyFrameFile,
     TakeMask,
     TakeTarget,
@@ -99,6 +100,7 @@ class Hub:
         self._pacs = PacsRequests(session)
         self._upload_of_job: dict[str, str] = {}
         self._mask_upload: str | None = None
+        self._series_upload: str | None = None
         self._loop: asyncio.AbstractEventLoop | None = None
         self._windows: dict[int, Window] = {}
         self._numbers = itertools.count(1)
@@ -286,8 +288,18 @@ class Hub:
             self._run_as_task(self.close_watch_page("the case that you were watching was closed"))
         if isinstance(event, JobEnded):
             upload_id = self._upload_of_job.pop(event.job_id, None)
-            if upload_id is not None:
+            if upload_id is not None and self._uploads.contains(upload_id, self.session.ask(SeriesFiles())):
+                # The user may open another one of the dropped series, as long as a case of them is open.
+                before, self._series_upload = self._series_upload, upload_id
+                self._uploads.retain(upload_id)
+                if before is not None and before != upload_id:
+                    self._uploads.discard(before)
+            elif upload_id is not None:
                 self._uploads.discard(upload_id)
+        series_upload = self._series_upload
+        if series_upload is not None and not self._uploads.contains(series_upload, self.session.ask(SeriesFiles())):
+            self._uploads.discard(series_upload)
+            self._series_upload = None
         if self._mask_upload is not None and not self.session.ask(MaskFileNeeded()):
             self._uploads.discard(self._mask_upload)
             self._mask_upload = None

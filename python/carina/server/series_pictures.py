@@ -7,7 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from carina.commands import CtFolder
+from carina.commands import SeriesFiles
 from carina.server.wire import messages as wire
 from carina.session import Session
 from carina.session.jobs.background_jobs import Job
@@ -19,7 +19,7 @@ def _kind(window: int) -> str:
 
 
 def start_series_pictures(session: Session, window: int, send: Callable[[Any], None]) -> None:
-    """Start the job that sends a picture of each series to a window.
+    """Start the job that sends a picture of each series to a window; without the files of the series do nothing.
 
     Parameters
     ----------
@@ -29,13 +29,10 @@ def start_series_pictures(session: Session, window: int, send: Callable[[Any], N
         Number of the window; a job of another window continues.
     send
         Sends a message to the window; callable from any thread.
-
-    Raises
-    ------
-    CarinaError
-        ``plan.not-dicom`` if the folder of the CT is not known.
     """
-    path: Path = session.ask(CtFolder())
+    path: Path | None = session.ask(SeriesFiles())
+    if path is None:
+        return
 
     def work(job: Job) -> None:
         from carina.volume.opening import find_in  # pydicom is slow to import

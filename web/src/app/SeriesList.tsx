@@ -12,12 +12,11 @@ import { SeriesPicture } from "./SeriesPicture";
 export function SeriesList({ info }: { info: CaseInfo }) {
   const station = useStation();
   const number = info.number;
-  const folderKnown = useApp((state) => state.plans?.dicom_problem == null);
   useEffect(() => {
-    if (!folderKnown || number === 0) return;
+    if (number === 0) return;
     station.send({ type: "ask_series_pictures" });
     return () => void station.send({ type: "stop_series_pictures" });
-  }, [station, folderKnown, number]);
+  }, [station, number]);
   return (
     <ul className="series-list" data-testid="series-list">
       {info.series === null ? null : (

@@ -66,6 +66,8 @@ class _Upload:
     """For each path on disk: the safe relative path, and the last part of the name that the browser sent."""
     num_files: int = 0
     num_bytes: int = 0
+    is_retained: bool = False
+    """Whether the upload is deleted only by :meth:`Uploads.discard`, not by further uploads."""
 
 
 class Uploads:
@@ -86,8 +88,10 @@ class Uploads:
             If the disk is full or not writable.
         """
         try:
-            while len(self._uploads) >= self._limits.num_uploads:
-                self.discard(next(iter(self._uploads)))
+            while len(passing := [key for key, one in self._uploads.items() if not one.is_retained]) >= (
+                self._limits.num_uploads
+            ):
+                self.discard(passing[0])
             scratch = ScratchFolder()
         except OSError as error:
             raise disk_trouble(
@@ -153,6 +157,17 @@ class Uploads:
             return files[0]
         headers = [p for p in files if p.suffix.lower() in {".mhd", ".nhdr"}]
         return _with_data_file_names(upload, headers[0]) if len(headers) == 1 else upload.folder
+
+    def contains(self, upload_id: str, path: Path | None) -> bool:
+        """Return whether a path is that of an upload's folder, or of a file in it."""
+        upload = self._uploads.get(upload_id)
+        return upload is not None and path is not None and path.is_relative_to(upload.folder)
+
+    def retain(self, upload_id: str) -> None:
+        """Store an upload until it is discarded, whatever is uploaded after it; do nothing if it does not exist."""
+        upload = self._uploads.get(upload_id)
+        if upload is not None:
+            upload.is_retained = True
 
     def discard(self, upload_id: str) -> None:
         """Delete the files of an upload; do nothing if the upload does not exist."""

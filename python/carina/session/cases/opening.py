@@ -45,6 +45,8 @@ class _DroppedCt:
     """Results of the job that reads a CT from dropped files."""
 
     references: References | None = None
+    files: str | None = None
+    """Path of the dropped files if they contain several series that can be opened."""
 
 
 class CaseOpener(CommandHandlers):
@@ -71,13 +73,15 @@ class CaseOpener(CommandHandlers):
 
     @does(c.OpenSeries)
     def open_series(self, command: c.OpenSeries) -> str:
-        """Open another series of the open CT's folder; UsageError if the place of the folder is not known."""
+        """Open another series beside the open CT; UsageError if the place of its files is not known."""
         with self.core.lock:
-            place = self._saving.place_of(self.core.needed_case())
+            case = self.core.needed_case()
+            place, dropped = self._saving.place_of(case), case.planning.origin.dropped
+        if dropped is not None:
+            return self._open_dropped(dropped, series=command.key)
         if place is None or place.startswith("demo:"):
             raise UsageError(
-                "the files of this CT were dropped and are not stored: open their folder or archive by its path to "
-                "choose another series",
+                "the files of this CT are not stored: open their folder or archive again to choose another series",
                 code="case.no-ct",
             )
 
@@ -92,17 +96,23 @@ class CaseOpener(CommandHandlers):
         scans = self._saving.scans
         if scans is not None and is_case_file(command.path):
             return self._open_case_file(Path(command.path), scans, dropped=True)
+        return self._open_dropped(command.path)
 
+    def _open_dropped(self, path: str, *, series: str | None = None) -> str:
+        """Open a CT from dropped files; by default the likeliest chest CT among their series."""
         dropped = _DroppedCt()
+        options = {} if series is None else {"series": series}
 
         def read(job: Job) -> Volume:
-            volume = self.core.parts.open_volume(command.path, job.progress, job.cancel)
+            volume = self.core.parts.open_volume(path, job.progress, job.cancel, **options)
+            if any(one.refused is None for one in volume.source.other_series):
+                dropped.files = path
             if volume.source.format == "dicom":
                 from carina.volume.dicom_structures import ct_references  # slow to import
 
                 # The temporary files are deleted after reading; these references replace them in later comparisons.
                 watch = Watch(job.progress, job.cancel)
-                dropped.references = ct_references(Path(command.path), volume, watch)
+                dropped.references = ct_references(Path(path), volume, watch)
             return volume
 
         return self._open("opening the case", read, None, dropped=dropped)
@@ -368,6 +378,7 @@ class CaseOpener(CommandHandlers):
                 case.planning.origin = CtOrigin(
                     None if found_place is None or found_place.startswith("demo:") else found_place,
                     None if dropped is None else dropped.references,
+                    None if dropped is None else dropped.files,
                 )
                 if path is not None and self.core.store is not None:
                     self.core.store.remember(path, self.core.today())
@@ -381,6 +392,12 @@ class CaseOpener(CommandHandlers):
             # Preparation takes a tenth of a second and makes rendering several times faster; the airway search takes
             # many seconds.
             case.content.prepare()
+            if volume.is_hu:
+                job.progress("assessing the CT", None)
+                self.core.parts.assess_ct(volume, None)
+                with self.core.lock:
+                    case.is_assessed = True
+                    self.core.changed("state")
             self._find_or_restore_airways(case, stored, finds)
 
         return self.core.jobs.start("open", title, work)

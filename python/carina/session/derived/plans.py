@@ -158,6 +158,13 @@ class CtOrigin:
     """File or folder on this machine from which the CT was opened; None if it was dropped or generated."""
     references: References | None = None
     """References to the DICOM files of a dropped CT; never stored."""
+    dropped: str | None = None
+    """Temporary path of dropped files that contain other series, too; never stored."""
+
+    @property
+    def series_files(self) -> str | None:
+        """Path of the files with all series that were found beside the CT; None if it is not known."""
+        return self.place or self.dropped
 
 
 class EarlyVerdicts:

@@ -217,6 +217,13 @@ class PlanHandlers(CommandHandlers):
                 raise UsageError(str(problem), code="plan.not-dicom")
             return Path(case.planning.origin.place)
 
+    @answers(c.SeriesFiles)
+    def series_files(self, _question: c.SeriesFiles) -> Path | None:
+        """Return the path of the files with all series that were found beside the open CT; None if not known."""
+        with self.core.lock:
+            path = None if self.core.case is None else self.core.case.planning.origin.series_files
+            return None if path is None else Path(path)
+
     @answers(c.PlanningOf)
     def planning_of(self, _question: c.PlanningOf) -> PlanningInfo:
         """Return the plans and verdicts that are available."""
