@@ -17,9 +17,15 @@ from carina.commands import OpenPath
 from carina.errors import CancelledError, NoResultError, VolumeImportError
 from carina.plan.routes.main_carina import axes_origin
 from carina.session import Parts, Session
-from carina.track import Airways, AirwayTree, Branch, TrackedPath, edit_airways
-from carina.volume import Note, SeriesInfo, Volume, VolumeSource
+from carina.track import Airways, AirwayTree, Branch, CtAssessment, CtProperty, TrackedPath, edit_airways
+from carina.volume import Finding, Note, Quality, SeriesInfo, Volume, VolumeSource
 
+SMALL_ASSESSMENT = CtAssessment(
+    (Finding("spacing", "slices are 2.0 mm apart"),),
+    Quality((), 5, 1.0),
+    None,
+    (CtProperty("noise", "20 HU in soft tissue", False), CtProperty("slices", "slices are 2.0 mm apart", True)),
+)
 SPACING_MM = (1.5, 1.75, 2.0)
 SHAPE_ZYX = (40, 28, 32)
 
@@ -316,6 +322,7 @@ def small_parts(**replaced: Any) -> Parts:
         "open_volume": open_volume,
         "open_demo": lambda name, progress, cancel: small_volume(title=f"Demo {name}"),
         "quality_words": lambda volume: ("slices are 2.0 mm apart",),
+        "assess_ct": lambda volume, airways: SMALL_ASSESSMENT,
         "find_airways": find_airways,
         "distance_origin": lambda _volume, airways: axes_origin(airways.tree),
         "transfer_preset": transfers.__getitem__,

@@ -14,7 +14,14 @@ import carina
 from carina.cli.adding import add_branches, error_json
 from carina.cli.arguments import check_needs, check_output_file, check_range
 from carina.cli.console import print_json, print_note, print_result, progress_printer
-from carina.cli.opened import Badges, OpenedInput, check_case_options, open_input
+from carina.cli.opened import (
+    Badges,
+    OpenedInput,
+    assessment_json,
+    check_case_options,
+    open_input,
+    print_assessment,
+)
 from carina.errors import UsageError
 from carina.export import (
     EXPORT_FORMATS,
@@ -104,6 +111,7 @@ def find(
                 "notes": list(airways.notes),
                 "absent": [_absence_row(absence) for absence in airways.absent],
                 "badges": badges.to_json(),
+                "assessment": assessment_json(volume, airways),
                 "calibrated_shares": None if shares is None else shares.to_json(),
                 "added": list(added.rows),
                 "branches": rows,
@@ -233,6 +241,7 @@ def write(
         check_needs("formats with the lumen, or without --tree", from_mask=from_mask)
     check_case_options(path, ct, tree=tree, from_mask=from_mask)
     given = None if tree is None else read_tree(tree)
+    airways: Airways | None = None
     source = open_input(path, series=series, progress=progress_printer(), strict=strict, ct=ct)
     volume, badges = source.volume, source.badges
     check_export(output, volume)
@@ -257,7 +266,14 @@ def write(
         export_airways(output, volume, airways, tree=given, badges=badges.notes, progress=progress_printer())
     print_note(f"wrote {output}")
     if as_json:
-        print_json({"output": str(output), "num_branches": len(given), "badges": badges.to_json()})
+        print_json(
+            {
+                "output": str(output),
+                "num_branches": len(given),
+                "badges": badges.to_json(),
+                "assessment": assessment_json(volume, airways),
+            }
+        )
     return 0
 
 
@@ -284,7 +300,8 @@ def _write_print(
     if made.names_left_out:
         print_note(f"note: no room for the names {', '.join(made.names_left_out)}")
     if as_json:
-        print_json({"output": str(output), **made.to_json(), "badges": badges.to_json()})
+        notes = {"badges": badges.to_json(), "assessment": assessment_json(volume, airways)}
+        print_json({"output": str(output), **made.to_json(), **notes})
     else:
         x, y, z = made.size_mm
         print_result(
@@ -323,7 +340,8 @@ def _write_mould(
         print_note(f"note: {made.num_left_out} branches are not in the mould, because {reason}")
     if as_json:
         outputs = [str(file) for file in files]
-        print_json({"output": str(output), "files": outputs, **made.to_json(), "badges": badges.to_json()})
+        notes = {"badges": badges.to_json(), "assessment": assessment_json(volume, airways)}
+        print_json({"output": str(output), "files": outputs, **made.to_json(), **notes})
     else:
         print_result(
             f"mould of {len(made.branches)} branches for a cast of {made.wall_mm:g} mm: front, back and core, "
@@ -353,6 +371,7 @@ def _airways(
     airways = carina.find_airways(volume, root_lps=seed, lumen_zyx=lumen, progress=progress)
     for note in airways.notes:
         print_note(f"note: {note}")
+    print_assessment(volume, airways)
     return airways
 
 

@@ -65,12 +65,15 @@ def report(path: Path, *, strict: bool, series: str | None, as_json: bool, ct: P
             )
         for note in volume.source.notes:
             print_result(f"  {'finding' if note.badge else 'note'}: {note.words}")
+        shown: set[str] = set()
+        if isinstance(quality, CtAssessment):
+            shown = {one.words for one in quality.statement if one.limits}
+            for one in quality.statement:
+                print_result(f"  {'quality' if one.limits else 'check'}: {one.name}: {one.words}")
+            print_result(f"  {quality.trusted_words}")
         for finding in quality.findings:
-            print_result(f"  quality: {finding.words}")
-        if volume.is_hu:
-            print_result(
-                f"  airways can be trusted to about generation {quality.trusted_generation} (the trachea is 0)"
-            )
+            if not any(finding.words in words for words in shown):
+                print_result(f"  quality: {finding.words}")
         if volume.source.citation:
             print_result(f"  {volume.source.citation}")
         if case:

@@ -16,6 +16,7 @@ from carina.errors import NoResultError, UsageError, VolumeImportError
 from carina.export import read_badges
 from carina.scopes import Pose
 from carina.session import CaseRecords, CaseScans, is_case_file
+from carina.track import assess_ct
 from carina.volume import Note, Volume, VolumeCache, badges_of
 
 if TYPE_CHECKING:
@@ -99,6 +100,7 @@ class OpenedInput:
                 )
             else:
                 self._airways = document.airways
+            print_assessment(self.volume, self._airways)
         return self._airways
 
     def key_frames(self, wanted: str) -> Document:
@@ -112,6 +114,17 @@ class OpenedInput:
         document = self.document
         assert document is not None
         return replace(document, key_frames=_selected_keys(document.key_frames, wanted))
+
+
+def assessment_json(volume: Volume, airways: Airways | None) -> dict[str, Any] | None:
+    """Return the statement on a CT as ``--json`` prints it under ``assessment``; None if the values are not HU."""
+    return assess_ct(volume, airways).to_json() if volume.is_hu else None
+
+
+def print_assessment(volume: Volume, airways: Airways) -> None:
+    """Print on stderr to which generation airways can be trusted in a CT, and what limits them."""
+    if volume.is_hu:
+        print_note(f"CT: {assess_ct(volume, airways).summary}")
 
 
 def _selected_keys(keys: KeyFrames, wanted: str) -> KeyFrames:

@@ -410,6 +410,7 @@ class SessionCore:
                 else "ready",
                 airways=case.search.status,
                 airways_words=case.search.words,
+                assessment=self.parts.assess_ct(case.info.volume, case.document.airways) if case.is_assessed else None,
                 document=case.document,
                 mode=case.navigator.mode,
                 sight=case.sights.of(window),

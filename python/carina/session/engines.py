@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from carina.plan.lungs.lung_map import LungMap
     from carina.render import TransferFunction
     from carina.session.scene.shown_case import SessionRenderer
-    from carina.track import Airways, EditPreview, TreeMeasures
+    from carina.track import Airways, CtAssessment, EditPreview, TreeMeasures
     from carina.volume import Mask, Volume
 
 Progress = Callable[[str, float | None], None]
@@ -40,6 +40,7 @@ class Parts:
     """Opens a CT: ``open_volume(path, progress, cancel)``, for one of several DICOM series with ``series=``."""
     open_demo: Callable[[str, Progress, Cancel], Volume]
     quality_words: Callable[[Volume], tuple[str, ...]]
+    """Returns the findings of the quality gate, which are known when a CT is shown."""
     find_airways: Callable[..., Airways]
     """Segments the airways, or builds their tree from a mask.
 
@@ -51,6 +52,8 @@ class Parts:
     transfer_from_histogram: Callable[[Volume], tuple[TransferFunction, float]]
     measure_tree: Callable[..., TreeMeasures] | None = None
     """Measures branches: ``measure_tree(volume, airways, previous=, progress=, cancel=)``; None measures nothing."""
+    assess_ct: Callable[[Volume, Airways | None], CtAssessment] = track.assess_ct
+    """Assesses a CT in HU for the airway search; the part without airways is cached with the volume."""
     wall_field: Callable[..., Any] = track.wall_field
     """Computes the field of distances to the airway wall: ``wall_field(volume, airways, progress=, cancel=)``."""
     presets: tuple[str, ...] = ("endoscopic", "ct-grey", "see-through", "paper")

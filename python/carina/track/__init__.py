@@ -1,6 +1,6 @@
 """Airway lumen, least-cost paths and the airway tree (paper 6)."""
 
-from carina.track.ct_assessment import CtAssessment, assess_ct
+from carina.track.ct_assessment import CtAssessment, CtProperty, assess_ct
 from carina.track.edit.add_branch_path import BranchWay, branch_way
 from carina.track.edit.edits import (
     AddBranch,
@@ -64,6 +64,7 @@ __all__ = [
     "CalibratedShares",
     "CalibreShare",
     "CtAssessment",
+    "CtProperty",
     "CutBranch",
     "DrawnPart",
     "EditPreview",

@@ -444,6 +444,7 @@ def open_series(series: FoundSeries, *, others: Sequence[SeriesInfo], notes: tup
         slice_thickness_mm=_common_thickness_mm(series.slices),
         interpolated_slices=stack.missing,
         tilt_deg=None if stack.tilt is None else round(stack.tilt.tilt_deg, 2),
+        slice_places=stack.places if stack.is_corrected else (),
     )
     watch.step("Reading the slices", 1.0)
     return Volume(values, stack.grid.lps_from_ijk, is_hu=verdict.is_hu, not_hu_reason=verdict.reason, source=source)

@@ -69,6 +69,13 @@ class SliceStack:
         return missing_levels(self.levels)
 
     @property
+    def places(self) -> tuple[float, ...]:
+        """Position of each slice as an index of the volume, which is a fraction between even slices."""
+        if self.uneven is None:
+            return tuple(float(level) for level in self.levels)
+        return tuple(round(float(place), 3) for place in self.uneven.places)
+
+    @property
     def is_corrected(self) -> bool:
         """Whether voxels of the volume are not pixels of the slices."""
         return self.tilt is not None or self.uneven is not None or len(self.levels) < self.shape_zyx[0]

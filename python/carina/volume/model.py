@@ -114,6 +114,8 @@ class VolumeSource:
     """Indices k of slices that were missing in the files and were interpolated; a badge names them."""
     tilt_deg: float | None = None
     """Gantry tilt in degrees that was corrected by resampling, with a badge; None for a scan without tilt."""
+    slice_places: tuple[float, ...] = field(default=(), repr=False)
+    """Position of each slice of the files as an index k, which may be a fraction; empty without a correction."""
     inserted: tuple[str, ...] = ()
     """Descriptions of structures that were inserted for training (`carina.insert_nodule`), with a badge."""
 
@@ -152,6 +154,8 @@ class Volume:
     """Cached result of the quality gate."""
     _digest: str | None = field(default=None, init=False, repr=False)
     """Cached result of ``ct_digest``."""
+    _assessment: Any = field(default=None, init=False, repr=False)
+    """Cached result of ``carina.track.assess_ct`` without airways."""
 
     def __post_init__(self) -> None:
         """Check the arrays, and make them read-only."""
@@ -272,7 +276,7 @@ class Volume:
 
 def _volume_of(values: dict[str, Any]) -> Volume:
     """Return the volume of a pickle, read-only, with its cached results."""
-    found = {name: values.pop(name) for name in ("_range", "_quality", "_digest")}
+    found = {name: values.pop(name) for name in ("_range", "_quality", "_digest", "_assessment")}
     volume = Volume(**values)
     for name, value in found.items():
         object.__setattr__(volume, name, value)

@@ -58,6 +58,8 @@ const OPEN: StateMessage = {
     citation: null,
     off: [],
     interpolated_slices: [],
+    slice_places: [],
+    statement: null,
     tilt_deg: null,
     series: null,
     ct_name: null,

@@ -1599,6 +1599,20 @@ export interface FeatureOff {
   readonly why: string;
 }
 
+/** A property of the CT that decides which airways can be seen in it, such as noise or coverage. */
+export interface CtPropertyInfo {
+  readonly name: string;
+  readonly words: string;
+  readonly limits: boolean;
+}
+
+/** Statement on the CT: its properties, and the generation up to which airways can be trusted. */
+export interface CtStatement {
+  readonly properties: readonly CtPropertyInfo[];
+  readonly trusted_generation: number;
+  readonly trusted_words: string;
+}
+
 /** The open volume and its properties. */
 export interface CaseInfo {
   readonly title: string;
@@ -1618,6 +1632,8 @@ export interface CaseInfo {
   readonly number: number;
   readonly interpolated_slices: readonly number[];
   readonly tilt_deg: number | null;
+  readonly slice_places: readonly number[];
+  readonly statement: CtStatement | null;
   readonly series: OtherSeries | null;
   readonly ct_name: string | null;
 }

@@ -31,7 +31,15 @@ from carina.plan.turns.turn_list import Turn, TurnList
 from carina.plan.verdict.verdict import Verdict
 from carina.render import Renderer
 from carina.scopes import WallField
-from carina.track import Airways, CalibratedShares, LumenOutline, branch_side_and_lobe, wall_field
+from carina.track import (
+    Airways,
+    CalibratedShares,
+    CtAssessment,
+    LumenOutline,
+    assess_ct,
+    branch_side_and_lobe,
+    wall_field,
+)
 from carina.version import VERSION
 from carina.volume import Volume, ct_digest
 
@@ -166,6 +174,8 @@ class PlanSheet:
     """Lymph node stations for EBUS that the route passes or that are next to the target."""
     calibrated_shares: CalibratedShares | None
     """Shares of airways that the search finds in slices of this CT's thickness; None for thin slices."""
+    assessment: CtAssessment | None
+    """What limits the airways that can be seen in the CT; None if its values are not HU."""
 
     @property
     def route(self) -> PlannedRoute | None:
@@ -190,6 +200,7 @@ class PlanSheet:
             "c_arm": None if self.carm is None else self.carm.to_json(),
             "ebus": {"stations": [one.to_json() for one in self.stations], "note": STATION_NOTE},
             "calibrated_shares": None if self.calibrated_shares is None else self.calibrated_shares.to_json(),
+            "assessment": None if self.assessment is None else self.assessment.to_json(),
             "report": {
                 "route": self.route_number,
                 "operator": self.operator,
@@ -323,6 +334,7 @@ def make_sheet(
         carm=carm,
         stations=() if not plan.routes else route_stations(airways.tree, plan, plan.routes[route_number - 1]),
         calibrated_shares=airways.calibrated_shares,
+        assessment=assess_ct(volume, airways) if volume.is_hu else None,
     )
     report(1.0)
     return sheet

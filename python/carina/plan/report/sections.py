@@ -56,7 +56,7 @@ def sections(sheet: PlanSheet) -> tuple[Section, ...]:
     """Return all sections of a report."""
     found = [*_against(sheet), _target(sheet), _way(sheet), *_route(sheet), *_sign(sheet)]
     found += [*_turns(sheet), *_verdicts(sheet), *_others(sheet), *_carm(sheet), *_stations(sheet)]
-    found += [_by_hand(sheet), _uncertain(sheet), *_notes(sheet), *_score(sheet), _provenance(sheet)]
+    found += [_by_hand(sheet), _uncertain(sheet), *_ct(sheet), *_notes(sheet), *_score(sheet), _provenance(sheet)]
     return (*found, *_figures_behind(sheet), *tracing_sections(sheet))
 
 
@@ -500,6 +500,18 @@ def _by_hand(sheet: PlanSheet) -> Section:
 
 def _uncertain(sheet: PlanSheet) -> Section:
     return Section("uncertain", "What is uncertain", (Bullets(sheet.uncertain),))
+
+
+def _ct(sheet: PlanSheet) -> list[Section]:
+    """Return the statement on the CT: what limits the airways that can be seen in it."""
+    found = sheet.assessment
+    if found is None:
+        return []
+    rows = tuple(
+        (one.name.capitalize(), one.words + (" (limits the airways)" if one.limits else "")) for one in found.statement
+    )
+    trusted = f"{found.trusted_words[0].upper()}{found.trusted_words[1:]}."
+    return [Section("ct", "The CT", (Words(trusted), Facts(rows)))]
 
 
 def _notes(sheet: PlanSheet) -> list[Section]:

@@ -128,6 +128,7 @@ class WatchingWindow(Window):
                 warnings=tuple(note.words for note in notes),
                 not_hu_reason=None,
                 quality=(),
+                statement=None,
                 other_series=(),
                 series=None,
                 # The original reason quotes DICOM tags of the file.

@@ -27,6 +27,7 @@ from carina.session import (
     StorageInfo,
     WallPoint,
 )
+from carina.track import CtAssessment
 from carina.volume import Citation, Note, SeriesInfo, badges_of
 
 
@@ -137,8 +138,20 @@ def _case_message(snapshot: Snapshot, *, names_ct: bool) -> wire.CaseInfo | None
         number=snapshot.case_number,
         interpolated_slices=source.interpolated_slices,
         tilt_deg=source.tilt_deg,
+        slice_places=source.slice_places,
+        statement=_statement_message(snapshot.assessment),
         series=None if source.series is None else _series_message(source.series, names_ct=names_ct),
         ct_name=source.title if names_ct else None,
+    )
+
+
+def _statement_message(assessment: CtAssessment | None) -> wire.CtStatement | None:
+    if assessment is None:
+        return None
+    return wire.CtStatement(
+        tuple(wire.CtPropertyInfo(one.name, one.words, one.limits) for one in assessment.statement),
+        assessment.trusted_generation,
+        assessment.trusted_words,
     )
 
 

@@ -175,6 +175,23 @@ class CaseNote(FrozenValue, frozen=True):
     """Whether the note is a badge: visible while the case is open."""
 
 
+class CtPropertyInfo(FrozenValue, frozen=True):
+    """A property of the CT that decides which airways can be seen in it, such as noise or coverage."""
+
+    name: Words
+    words: Words
+    limits: bool
+    """Whether the property limits the airway search."""
+
+
+class CtStatement(FrozenValue, frozen=True):
+    """Statement on the CT: its properties, and the generation up to which airways can be trusted."""
+
+    properties: tuple[CtPropertyInfo, ...]
+    trusted_generation: Count
+    trusted_words: Words
+
+
 class CaseInfo(FrozenValue, frozen=True):
     """The open volume and its properties."""
 
@@ -200,6 +217,10 @@ class CaseInfo(FrozenValue, frozen=True):
     """Indices k of slices that were missing in the files and were interpolated."""
     tilt_deg: float | None = None
     """Gantry tilt in degrees that was corrected; null for a scan without tilt."""
+    slice_places: tuple[float, ...] = ()
+    """Position of each slice of the files as an index k, which may be a fraction; empty without a correction."""
+    statement: CtStatement | None = None
+    """What limits the airways that can be seen in the CT; null until it is known, and without HU."""
     series: OtherSeries | None = None
     """The open series; null if the CT is not a DICOM series."""
     ct_name: Words | None = None

@@ -23,7 +23,7 @@ from carina.volume.mask_files import MaskLabel
 
 if TYPE_CHECKING:
     from carina.plan.routes.main_carina import RouteScale
-    from carina.track import Branch, LivePath, TreeMeasures
+    from carina.track import Branch, CtAssessment, LivePath, TreeMeasures
     from carina.volume import Volume
 
 Stage = Literal["empty", "opening", "ready"]
@@ -193,6 +193,8 @@ class Snapshot:
     stage: Stage = "empty"
     airways: AirwayStatus = "none"
     airways_words: str | None = None
+    assessment: CtAssessment | None = None
+    """What limits the airways that can be seen in the CT; None until it is known, and without HU."""
     document: Document | None = None
     mode: Literal["free", "path", "scope"] = "free"
     sight: Sight = Sight()

@@ -1,12 +1,14 @@
 import { keyOf, WINDOWS } from "../../input/keymap";
 import { greyWindow } from "../../state/app-state";
-import { findingsOf } from "../../state/badges";
+import { findingsOf, notInStatement } from "../../state/badges";
 import { sentence, windowText } from "../../state/format";
 import type { CaseNote } from "../../wire/messages";
 import { useApp, useStation } from "../context";
 import { Act, Choice } from "../controls";
 import { Icon } from "../icons";
 import { SeriesList } from "../SeriesList";
+import { CtStatementList } from "./CtStatementList";
+import { SlicePlaces } from "./SlicePlaces";
 import { Threshold } from "./Threshold";
 
 const PRESETS = [
@@ -37,14 +39,17 @@ export function CheckStep() {
   if (info === null) return null;
   // The list of series states what this note states, with pictures.
   const warnings = info.notes.filter(({ code }) => code !== "import.several-series").map(({ words }) => words);
-  const findings = findingsOf(badges, info.quality, warnings);
+  const findings = findingsOf(badges, notInStatement(info.quality, info.statement), warnings);
+  const isLimited = info.statement?.properties.some(({ limits }) => limits) ?? false;
   const reason = info.not_hu_reason ?? "this volume is not in Hounsfield units";
   const isListed = findings.some((words) => words.includes(reason));
   const chosen = PRESETS.find(({ value }) => WINDOWS[value].width_hu === width && WINDOWS[value].level_hu === level);
   return (
     <>
       {findings.length === 0 ? (
-        <p>No findings: the slices are complete and fine enough for the airways.</p>
+        isLimited ? null : (
+          <p>No findings: the slices are complete and fine enough for the airways.</p>
+        )
       ) : (
         <ul className="findings">
           {findings.map((words) => (
@@ -55,6 +60,8 @@ export function CheckStep() {
           ))}
         </ul>
       )}
+      <SlicePlaces info={info} />
+      {info.is_hu ? <CtStatementList statement={info.statement} /> : null}
       {info.is_hu ? null : (
         <>
           {isListed ? null : <p className="warning-text">{sentence(reason)}</p>}
