@@ -107,9 +107,9 @@ def bench_track(
     """Compare the path tracker with other programs, and the airway tree with the true airways.
 
     Parts: speed, paper, graphs, mr, quality, visible, names, measures, evidence. The parts walls, hard, shares,
-    classes, statements, diameters, tips and gate take up to an hour or more each, so they run only if --only names
-    them. The report names each part that was omitted because this version does not have it, or because its data or a
-    program for comparison are missing. A missed limit is reported; the exit code is still 0.
+    classes, statements, diameters, tips, gate and tilt take up to an hour or more each, so they run only if --only
+    names them. The report names each part that was omitted because this version does not have it, or because its
+    data or a program for comparison are missing. A missed limit is reported; the exit code is still 0.
 
     Example: carina bench track --only speed --quick
     """

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
+from numpy.typing import NDArray
 from pydicom.dataset import Dataset, FileMetaDataset
 from pydicom.uid import UID, CTImageStorage, ExplicitVRLittleEndian, generate_uid
 
 from carina.volume import Volume
 
-__all__ = ["BOX_LPS", "write_slices"]
+__all__ = ["BOX_LPS", "write_slices", "write_stack"]
 
 BOX_LPS = ((-179.2, -181.2, -189.5), (178.6, 176.6, 110.0))
 """Box of the generated chest: lowest and highest corner, LPS mm."""
@@ -17,10 +19,33 @@ BOX_LPS = ((-179.2, -181.2, -189.5), (178.6, 176.6, 110.0))
 
 def write_slices(volume: Volume, folder: Path, syntax: UID = ExplicitVRLittleEndian) -> Path:
     """Write a DICOM series with one uncompressed file per slice, as a scanner does; return its folder."""
+    return write_stack(volume.hu_zyx, volume.lps_from_ijk, folder, syntax)
+
+
+def write_stack(
+    hu_zyx: NDArray[np.int16],
+    lps_from_ijk: NDArray[np.float64],
+    folder: Path,
+    syntax: UID = ExplicitVRLittleEndian,
+) -> Path:
+    """Write a DICOM series of slices whose stack may be sheared, as by a tilted gantry; return its folder.
+
+    Parameters
+    ----------
+    hu_zyx
+        (slices, rows, columns) HU.
+    lps_from_ijk
+        (4, 4) transform from column, row and slice to LPS mm; its third axis is the step from slice to slice.
+    folder
+        New folder.
+    syntax
+        An uncompressed transfer syntax.
+    """
     folder.mkdir()
     series_uid, study_uid, frame_uid = generate_uid(), generate_uid(), generate_uid()
-    step, spacing = volume.lps_from_ijk, volume.spacing_mm
-    for index, values in enumerate(volume.hu_zyx):
+    step, spacing = lps_from_ijk, np.linalg.norm(lps_from_ijk[:3, :2], axis=0)
+    directions = (lps_from_ijk[:3, :2] / spacing).T.reshape(-1)
+    for index, values in enumerate(hu_zyx):
         dataset = Dataset()
         dataset.file_meta = FileMetaDataset()
         dataset.file_meta.TransferSyntaxUID = syntax
@@ -31,8 +56,8 @@ def write_slices(volume: Volume, folder: Path, syntax: UID = ExplicitVRLittleEnd
         dataset.StudyInstanceUID, dataset.SeriesInstanceUID = study_uid, series_uid
         dataset.FrameOfReferenceUID = frame_uid
         dataset.Rows, dataset.Columns = values.shape
-        dataset.PixelSpacing = [round(spacing[1], 6), round(spacing[0], 6)]
-        dataset.ImageOrientationPatient = [1, 0, 0, 0, 1, 0]
+        dataset.PixelSpacing = [round(float(spacing[1]), 6), round(float(spacing[0]), 6)]
+        dataset.ImageOrientationPatient = [round(float(v), 9) for v in directions]
         dataset.ImagePositionPatient = [round(float(v), 6) for v in step[:3, 3] + index * step[:3, 2]]
         dataset.SamplesPerPixel, dataset.PhotometricInterpretation = 1, "MONOCHROME2"
         dataset.BitsAllocated, dataset.BitsStored, dataset.HighBit, dataset.PixelRepresentation = 16, 16, 15, 1

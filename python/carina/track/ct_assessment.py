@@ -195,7 +195,9 @@ def _statement(found: CtAssessment, volume: Volume, airways: Airways | None) -> 
     usual: dict[PropertyName, str] = {
         "kernel": "not measurable in these slices"
         if undershoot_hu is None
-        else f"not sharp: lung beside vessels is {max(undershoot_hu, 0.0):.0f} HU too dark",
+        else "not sharp: lung beside vessels is not darker"
+        if undershoot_hu < 0.5
+        else f"not sharp: lung beside vessels is {undershoot_hu:.0f} HU darker",
         "noise": "not measurable: too little soft tissue"
         if quality.noise_hu is None
         else f"{quality.noise_hu:.0f} HU in soft tissue",
