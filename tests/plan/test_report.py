@@ -33,7 +33,7 @@ from carina.plan.routes.last_leg import CrossedTissue, NearVessel
 from carina.plan.targets.edits import BRUSHED
 from carina.plan.turns.fork_view import HourDoubt
 from carina.server.to_wire.plan import _route
-from carina.track import measure_tree
+from carina.track import assess_ct, measure_tree
 from carina.volume import Note, Volume
 
 SAFETY = (
@@ -76,6 +76,7 @@ def test_json_report_contains_the_plan_and_the_case_data_of_the_report(tmp_path)
         "turns": turns(airways(), plan()).to_json(),
         # A CT with voxels of 1.1 mm has no thick slices, so there are no calibrated shares.
         "calibrated_shares": None,
+        "assessment": assess_ct(volume(), airways()).to_json(),
         "c_arm": None,
         "ebus": {
             "stations": [one.to_json() for one in route_stations(airways().tree, plan(), plan().routes[0])],
@@ -184,7 +185,8 @@ def test_html_report_has_all_sections_in_order_with_all_their_text(tmp_path) -> 
     assert places == sorted(places)
     names = [part.name for part in sections(sheet())]
     assert names[:4] == ["against", "target", "airways", "route"] and names[-1] == "tracing"
-    assert {"turns", "instruments", "routes", "by-hand", "uncertain", "score", "figures", "provenance"} <= set(names)
+    assert {"turns", "instruments", "routes", "by-hand", "uncertain", "ct", "score", "figures"} <= set(names)
+    assert "provenance" in names
     assert [message for message in everything() if message not in text] == []
     assert all(text.count(message) >= 2 for message in SAFETY)
 

@@ -139,7 +139,7 @@ def assess_ct(volume: Volume, airways: Airways | None = None) -> CtAssessment:
     >>> [finding.code for finding in found.findings]
     ['spacing', 'cut']
     >>> found.lines[-1]
-    'airways can be trusted to about generation 6 (the trachea is 0)'
+    'airways can be trusted to about generation 5 (the trachea is 0)'
     """
     check_type("assess_ct", "volume", volume, Volume, "open a volume with carina.open_volume")
     if not volume.is_hu:
