@@ -32,7 +32,7 @@ export function NoticeDialog() {
               </li>
               <li>Copies of opened CTs with their paths and series names, until you empty the cache.</li>
               <li>Series that you retrieve from a PACS, and the addresses of the PACS, until you delete them.</li>
-              <li>Dropped files, until they have been read.</li>
+              <li>Dropped files, until they have been read; several series, until another case is opened.</li>
             </ul>
             <p>
               Unnamed cases are shown as "Case" with a random code. Observers, phones and reports do not receive the
