@@ -410,7 +410,9 @@ class SessionCore:
                 else "ready",
                 airways=case.search.status,
                 airways_words=case.search.words,
-                assessment=self.parts.assess_ct(case.info.volume, case.document.airways) if case.is_assessed else None,
+                assessment=self.parts.assess_ct(case.info.volume, case.document.airways)
+                if case.info.is_assessed
+                else None,
                 document=case.document,
                 mode=case.navigator.mode,
                 sight=case.sights.of(window),

@@ -15,7 +15,7 @@ export function withoutHuNote(badges: readonly CaseNote[]): readonly CaseNote[] 
 /** Return the findings of the quality gate that the statement on the CT does not contain. */
 export function notInStatement(quality: readonly string[], statement: CtStatement | null): readonly string[] {
   if (statement === null) return quality;
-  return quality.filter((finding) => !statement.properties.some(({ words }) => words.includes(finding)));
+  return quality.filter((finding) => !statement.properties.some(({ text }) => text.includes(finding)));
 }
 
 /** Return the texts of the Check step: doubts about the case and the airways first, without duplicates. */

@@ -1602,7 +1602,7 @@ export interface FeatureOff {
 /** A property of the CT that decides which airways can be seen in it, such as noise or coverage. */
 export interface CtPropertyInfo {
   readonly name: string;
-  readonly words: string;
+  readonly text: string;
   readonly limits: boolean;
 }
 

@@ -179,7 +179,7 @@ class CtPropertyInfo(FrozenValue, frozen=True):
     """A property of the CT that decides which airways can be seen in it, such as noise or coverage."""
 
     name: Words
-    words: Words
+    text: Words
     limits: bool
     """Whether the property limits the airway search."""
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from carina import commands as c
@@ -396,7 +396,7 @@ class CaseOpener(CommandHandlers):
                 job.progress("assessing the CT", None)
                 self.core.parts.assess_ct(volume, None)
                 with self.core.lock:
-                    case.is_assessed = True
+                    case.info = replace(case.info, is_assessed=True)
                     self.core.changed("state")
             self._find_or_restore_airways(case, stored, finds)
 

@@ -172,8 +172,6 @@ class OpenCase:
     """Flight through the newest key frames for which a flight was requested."""
     sights: Sights
     search: AirwaySearch = AirwaySearch()
-    is_assessed: bool = False
-    """Whether the CT was assessed for the airway search; the result is cached with the volume."""
     last_move: LastMove = LastMove()
     scope: ScopeInLumen = field(default_factory=ScopeInLumen)
     flown_route: ChosenRoute | None = None

@@ -44,6 +44,8 @@ class CaseSnapshot:
     value_range: tuple[int, int]
     case_id: str = ""
     """Random id of the case, equal to the id of its record once the case is stored."""
+    is_assessed: bool = False
+    """Whether the CT was assessed for the airway search; the result is cached with the volume."""
 
     @property
     def off(self) -> tuple[FeatureOff, ...]:

@@ -12,13 +12,13 @@ export function CtStatementList({ statement }: { statement: CtStatement | null }
       <h3>Assessment of the CT</h3>
       <p className="trusted">{sentence(statement.trusted_words)}.</p>
       <dl className="facts">
-        {statement.properties.map(({ name, words, limits }) => (
+        {statement.properties.map(({ name, text, limits }) => (
           <div key={name} className={limits ? "limits" : undefined}>
             <dt>
               {limits ? <Icon name="warning" /> : null}
               {sentence(name)}
             </dt>
-            <dd>{sentence(words)}</dd>
+            <dd>{sentence(text)}</dd>
           </div>
         ))}
       </dl>
