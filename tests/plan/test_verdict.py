@@ -16,7 +16,7 @@ from nodules import ellipsoid
 from carina.errors import CancelledError, UsageError
 from carina.plan import Plan, Verdict, judge_pairs, judge_scope, judge_scopes, tool
 from carina.plan.movement.target_movement import TargetMovement
-from carina.plan.routes.fork_ridges import ForkRidge
+from carina.plan.routes.fork_ridges import ForkRidge, RouteRidges
 from carina.plan.routes.last_leg import LastLeg, edge_on_needle_mm
 from carina.plan.routes.main_carina import ROOT
 from carina.plan.routes.measured_lumen import MeasuredLumen
@@ -356,15 +356,16 @@ def test_drive_must_also_pass_the_ridges_that_the_blur_of_the_ct_may_hide() -> N
         (1, 2), points[n] + [RADIUS_MM, 0.0, 0.0], np.array([-1.0, 0.0, 0.0]), np.array([0.0, 1.0, 0.0]), 2.0
     )
 
-    def found(hidden_mm: float) -> Verdict:
-        lumen = dataclasses.replace(route.lumen, ridges=(ridge,), hidden_mm=hidden_mm)
-        one = dataclasses.replace(plan, routes=(dataclasses.replace(route, lumen=lumen),))
-        return judge_scope(tree, one, field, scope(tip_mm=2.4))
+    def found(hidden_mm: float, lumen: MeasuredLumen | None) -> Verdict:
+        ridged = dataclasses.replace(route, lumen=lumen, ridges=RouteRidges((ridge,), hidden_mm))
+        return judge_scope(tree, dataclasses.replace(plan, routes=(ridged,)), field, scope(tip_mm=2.4))
 
-    assert found(0.0).outcome == "reaches"
-    assert found(0.3).outcome == "reaches"
-    blocked = found(2.5)
-    assert blocked.outcome == "may reach" and "as the blur of the CT may hide" in check(blocked, "drive").words
+    assert found(0.0, route.lumen).outcome == "reaches"
+    assert found(0.3, route.lumen).outcome == "reaches"
+    # A lumen without a measured width has ridges too.
+    assert found(0.3, None).outcome == "reaches"
+    for blocked in (found(2.5, route.lumen), found(2.5, None)):
+        assert blocked.outcome == "may reach" and "as the blur of the CT may hide" in check(blocked, "drive").words
 
 
 def test_scope_is_aimed_until_its_tool_surely_reaches_the_target() -> None:
