@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
+import threading
 from functools import cache
 from typing import Any
 
@@ -27,6 +28,7 @@ from carina.plan.verdict import lever
 from carina.plan.verdict.checks import bend_check
 from carina.plan.verdict.drive_route import DriveWay
 from carina.plan.verdict.lever import lever_check
+from carina.plan.verdict.route_judge import InstrumentChecks, RouteJudge, SimulatedDrive
 from carina.scopes import ScopePreset, WallField, scope_preset, scope_presets
 from carina.track import AirwayTree, Branch
 
@@ -258,6 +260,21 @@ def test_every_pair_of_route_and_instrument_has_a_verdict_and_the_best_pair_is_f
     alone = judge_pairs(tree, plan, field, scopes=presets, routes=1)
     assert {one.outcome for one in alone} == {"does not reach"} and len(alone) == 2
     assert judge_scope(tree, plan, field, presets[1], route=good).to_json() == pairs[0].to_json()
+
+
+def test_drives_along_different_routes_are_simulated_at_the_same_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    tree, field, plan = two_routes()
+    good = plan.routes[1]
+    plan = dataclasses.replace(plan, routes=(dataclasses.replace(good, along_mm=good.along_mm - 1.0), good))
+    both_started, drive = threading.Barrier(2), RouteJudge.drive
+
+    def waiting(judge: RouteJudge, figures: InstrumentChecks) -> SimulatedDrive:
+        both_started.wait(timeout=60.0)
+        return drive(judge, figures)
+
+    monkeypatch.setattr(RouteJudge, "drive", waiting)
+    pairs = judge_pairs(tree, plan, field, scopes=[scope()], effort=1.0)
+    assert {one.route_key for one in pairs} == {route.key for route in plan.routes}
 
 
 def test_pairs_of_instruments_that_are_not_available_follow_the_others() -> None:

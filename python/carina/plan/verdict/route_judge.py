@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import math
 from collections.abc import Callable
+from copy import copy
 from dataclasses import dataclass, replace
 from statistics import NormalDist
 from typing import Any
@@ -172,6 +173,12 @@ class RouteJudge:
     def aim(self) -> Points:
         """Point in the target that the drive is aimed at, (3,) LPS mm."""
         return self._aim
+
+    def with_tool(self, tool: Tool) -> RouteJudge:
+        """Return a judge of the same route for instruments with another tool, which shares the route and its wall."""
+        other = copy(self)
+        other._plan = replace(self._plan, tool=tool)
+        return other
 
     def _way_in(self, tree: AirwayTree, planned: PlannedRoute, wall: WallField) -> DriveWay:
         way = DriveWay(tree, planned, wall)
