@@ -231,8 +231,7 @@ def lumen_distance_at(points: Floats, *, tubes: Sequence[Tube]) -> Floats:
 
 def _is_within(points: Floats, low: Floats, high: Floats) -> NDArray[np.bool_]:
     """Return whether points (n, 3) are within `OUTSIDE_MM` of a box."""
-    found: NDArray[np.bool_] = ((points >= low - OUTSIDE_MM) & (points <= high + OUTSIDE_MM)).all(axis=1)
-    return found
+    return np.asarray(((points >= low - OUTSIDE_MM) & (points <= high + OUTSIDE_MM)).all(axis=1))
 
 
 def _by_tube(segments: Sequence[Segment]) -> dict[int, list[Segment]]:
