@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Covers", "Segment", "Tube", "covers_of", "segments_of", "wall_mm"]
+__all__ = ["Covers", "Segment", "Tube", "covers_of", "lumen_distance_at", "segments_of", "wall_mm"]
 
 Floats = NDArray[np.float64]
 Cells = NDArray[np.float32]
@@ -26,6 +26,8 @@ The width is a share of the radius of the thinner airway.
 """
 FAR_MM = np.float32(50.0)
 """Distance in mm that is stored for cells of the painted grid that are far from every tube."""
+OUTSIDE_MM = 3.0
+"""Distance in mm from an airway up to which `lumen_distance_at` is exact."""
 FULL_LEVEL = 0.99
 """Level of fluid, in radii above the axis, from which the fluid fills the lumen."""
 
@@ -193,6 +195,43 @@ def covers_of(
             lumen[box] = _merged(lumen[box], mine[box], own[0].merge)
     np.minimum(airway, lumen, out=airway)
     return Covers(_cover(lumen, cell_mm), _cover(airway, cell_mm), _cover(artery, cell_mm), fluid)
+
+
+def lumen_distance_at(points: Floats, *, tubes: Sequence[Tube]) -> Floats:
+    """Return the distances (n,) in mm from points to the wall of the lumen that is painted, negative inside.
+
+    The lumen has the rounded edges of `covers_of`. The distance of a point that is farther than `OUTSIDE_MM` from all
+    airways is only known to be larger; fluid is ignored.
+
+    Parameters
+    ----------
+    points
+        (n, 3) in the frame of the tubes, mm.
+    tubes
+        Tubes of the scene, in their order; arteries are ignored.
+    """
+    found = np.full(len(points), float(FAR_MM))
+    for tube in tubes:
+        own = [] if tube.is_artery else segments_of([tube], 0.0)
+        if not own:
+            continue
+        low, high = np.min([one.low for one in own], axis=0), np.max([one.high for one in own], axis=0)
+        near = np.flatnonzero(_is_within(points, low, high))
+        mine = np.full(len(near), float(FAR_MM))
+        for segment in own:
+            at = np.flatnonzero(_is_within(points[near], segment.low, segment.high))
+            off = points[near[at]] - segment.start
+            along = np.clip(off @ segment.axis, 0.0, segment.length)
+            away = np.linalg.norm(off - along[:, None] * segment.axis, axis=1)
+            radius = segment.lumen[0] + along / segment.length * (segment.lumen[1] - segment.lumen[0])
+            mine[at] = np.minimum(mine[at], away - radius)
+        found[near] = _merged(found[near], mine, own[0].merge)
+    return found
+
+
+def _is_within(points: Floats, low: Floats, high: Floats) -> NDArray[np.bool_]:
+    """Return whether points (n, 3) are within `OUTSIDE_MM` of a box."""
+    return np.asarray(((points >= low - OUTSIDE_MM) & (points <= high + OUTSIDE_MM)).all(axis=1))
 
 
 def _by_tube(segments: Sequence[Segment]) -> dict[int, list[Segment]]:

@@ -204,6 +204,7 @@ def patient_cases(
 def _painted(folder: Path, condition: str, num: int, seed: int) -> PlanCase:
     from carina_bench.paint import Scene, paint
     from carina_bench.paint_scene import masks_of, scene_of_masks
+    from carina_bench.paint_tubes import lumen_distance_at as lumen_distance_of_tubes
     from carina_bench.track_painted import CONDITIONS
 
     options = CONDITIONS[condition].options
@@ -221,7 +222,8 @@ def _painted(folder: Path, condition: str, num: int, seed: int) -> PlanCase:
     for at, share in _covers(tissue, targets, sigma_mm=0.0):
         hu_zyx[at] = np.rint(hu_zyx[at] + share * (NODULE_HU - hu_zyx[at])).astype(np.int16)
     made = paint(Scene(hu_zyx, scene.lps_from_ijk, scene.tubes), options)
-    return PlanCase(f"{folder.name}-{condition}", made.volume, truth, targets)
+    lumen = partial(lumen_distance_of_tubes, tubes=tuple(tubes))
+    return PlanCase(f"{folder.name}-{condition}", made.volume, truth, targets, lumen=lumen)
 
 
 def _phantom_truth(document: dict[str, Any]) -> TrueTree:

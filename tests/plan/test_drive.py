@@ -25,6 +25,7 @@ from carina.plan.routes.plan_route import PlannedRoute
 from carina.plan.routes.ranking import bending_mm
 from carina.plan.routes.route_width import RouteWidth
 from carina.plan.routes.standing_points import Ways
+from carina.plan.verdict import drive_aim
 from carina.plan.verdict.checks import bend_check, length_check
 from carina.plan.verdict.drive import DrivenRoute, MoveRecorder, moves_between, replay_moves
 from carina.plan.verdict.drive_aim import aim_drive
@@ -166,6 +167,7 @@ def test_drive_aimed_from_copied_scope_states_equals_one_simulated_from_the_begi
 
     fast = aim_drive(way, field, scope, driven, share)
     monkeypatch.setattr(MoveRecorder, "copy", repeated)
+    monkeypatch.setattr(drive_aim, "NUM_THREADS", 1)
     slow = aim_drive(way, field, scope, driven, share)
     assert fast.driven.moves == slow.driven.moves != driven.moves
     assert (fast.share, fast.off_deg) == (slow.share, slow.off_deg)

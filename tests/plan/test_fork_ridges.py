@@ -9,12 +9,13 @@ import phantom_plan
 import pytest
 
 from carina.phantom import lumen_distance_at
-from carina.plan.routes.fork_ridges import HALF_PLATE_MM, ForkRidge, fork_ridges
-from carina.plan.routes.measured_lumen import HIDDEN_SHARE, MeasuredLumen
+from carina.plan.routes.fork_ridges import HALF_PLATE_MM, HIDDEN_SHARE, ForkRidge, RouteRidges, fork_ridges
 from carina.scopes import WallField
 from carina.track import Branch
 
 RADIUS_MM, HALF_DEG = 2.0, 35.0
+SPACING_MM = 1.2 / HIDDEN_SHARE
+"""Coarsest spacing in mm of a CT whose blur hides 1.2 mm of each ridge."""
 
 
 def junction() -> tuple[list[Branch], WallField]:
@@ -46,7 +47,7 @@ def junction() -> tuple[list[Branch], WallField]:
 
 def test_ridge_of_two_tubes_is_where_their_walls_meet() -> None:
     branches, wall = junction()
-    (ridge,) = fork_ridges(branches[:2], branches, wall)
+    (ridge,) = fork_ridges(branches[:2], branches, wall, spacing_mm=SPACING_MM).ridges
     assert ridge.branch_ids == (1, 2)
     assert ridge.edge_lps == pytest.approx([0.0, 0.0, -RADIUS_MM / math.sin(math.radians(HALF_DEG))], abs=0.3)
     assert ridge.into_parent == pytest.approx([0.0, 0.0, 1.0], abs=0.02)
@@ -58,21 +59,19 @@ def test_ridge_of_two_tubes_is_where_their_walls_meet() -> None:
 
 def test_longer_ridge_is_part_of_the_wall_up_to_the_hidden_length() -> None:
     branches, wall = junction()
-    ridges = fork_ridges(branches[:2], branches, wall)
-    points = np.concatenate([branch.points for branch in branches[:2]])
-    none = np.zeros(len(points))
-    lumen = MeasuredLumen(points, none + RADIUS_MM, none, none, none, ridges, hidden_mm=1.2)
-    longer = lumen.with_longer_ridges(wall)
-    line = ridges[0].edge_lps + np.arange(-0.8, 4.0, 0.1)[:, None] * ridges[0].into_parent
+    found = fork_ridges(branches[:2], branches, wall, spacing_mm=SPACING_MM)
+    longer = found.lengthened(wall)
+    (ridge,) = found.ridges
+    line = ridge.edge_lps + np.arange(-0.8, 4.0, 0.1)[:, None] * ridge.into_parent
     before, after = wall.distance_mm(line), longer.distance_mm(line)
     far = np.arange(-0.8, 4.0, 0.1)
     assert (before[far > 0.4] > 0.0).all()
     assert (after[far < 1.15] < 0.0).all() and (after[far > 1.25] > 0.0).all()
     assert (after <= before + 1e-9).all()
-    # Beside the ridge, and in a lumen without ridges, nothing changes.
+    # Beside the ridge, and on a route without ridges, nothing changes.
     outer = branches[1].points[12:] + np.array([1.0, 0.0, 0.0])
     assert (longer.distance_mm(outer) == wall.distance_mm(outer)).all()
-    assert MeasuredLumen(points, none, none, none, none).with_longer_ridges(wall) is wall
+    assert RouteRidges((), 1.2).lengthened(wall) is wall
 
 
 def test_true_ridges_are_at_most_as_long_as_the_stated_hidden_length_in_nine_of_ten_forks() -> None:
@@ -83,7 +82,7 @@ def test_true_ridges_are_at_most_as_long_as_the_stated_hidden_length_in_nine_of_
         if len(parent.children) < 2:
             continue
         child = next(branch for branch in tree.branches if branch.id == parent.children[0])
-        for ridge in fork_ridges([parent, child], tree.branches, wall):
+        for ridge in fork_ridges([parent, child], tree.branches, wall, spacing_mm=1.0).ridges:
             line = ridge.edge_lps + far[:, None] * ridge.into_parent
             true = _end_mm(far, -lumen_distance_at(line, seed=phantom_plan.CHEST["seed"]))
             hidden_mm.append(true - _end_mm(far, wall.distance_mm(line)))
@@ -108,8 +107,8 @@ def _end_mm(far: np.ndarray, depth: np.ndarray) -> float:
 def test_forks_without_a_wall_between_their_branches_have_no_ridge() -> None:
     branches, wall = junction()
     short = [branch if branch.id == 0 else _cut(branch) for branch in branches]
-    assert fork_ridges(short[:2], short, wall) == ()
-    assert fork_ridges(branches[:1], branches, wall) == ()
+    assert fork_ridges(short[:2], short, wall, spacing_mm=1.0).ridges == ()
+    assert fork_ridges(branches[:1], branches, wall, spacing_mm=1.0).ridges == ()
 
 
 def _cut(branch: Branch) -> Branch:

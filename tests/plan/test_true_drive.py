@@ -10,6 +10,8 @@ import pytest
 from cached_test_data import cached_phantom
 from carina.phantom import lumen_distance_at
 from carina.scopes import ScopeDrive, scope_preset
+from carina_bench.paint_tubes import OUTSIDE_MM, Tube, covers_of, segments_of
+from carina_bench.paint_tubes import lumen_distance_at as painted_distance_at
 from carina_bench.plan_cases import Target, TrueTree
 from carina_bench.plan_true_drive import needle_hits_from, strikes, wall_along
 
@@ -52,6 +54,31 @@ def test_true_wall_has_the_rounded_carina_of_the_lumen_from_which_the_ct_was_mad
     # The wall of the balls differs from that of the lumen by the fillets and by the flat back of the trachea.
     assert np.abs(sharp.distance_mm(around) - exact)[near].max() > 0.5
     assert np.quantile(np.abs(rounded.distance_mm(around) - exact)[near], 0.98) < 0.15
+
+
+def test_exact_lumen_of_a_painted_fork_is_that_of_the_painted_cells() -> None:
+    start, half = np.zeros(3), np.array([0.5, 0.0, -0.8])
+    at = np.linspace(0.0, 12.0, 30)[:, None]
+    tubes = (
+        Tube(start + at * [0.0, 0.0, 1.0], np.full(30, 2.2)),
+        Tube(start + at * half, np.linspace(1.8, 1.2, 30), id=1, parent=0, generation=1),
+        Tube(start + at * half * [-1.0, 1.0, 1.0], np.full(30, 1.6), id=2, parent=0, generation=1),
+        Tube(start + at * half, np.full(30, 3.0), id=3, is_artery=True),
+    )
+    cell_mm = 0.25
+    axes = tuple(np.arange(-5.0, 5.0, cell_mm) for _ in range(3))
+    share = covers_of(segments_of(tubes, cell_mm), tubes, axes, cell_mm, np.array([0.0, 1.0, 0.0])).lumen
+    edge = (share > 0.02) & (share < 0.98)
+    z, y, x = np.nonzero(edge)
+    points = np.stack([axes[0][x], axes[1][y], axes[2][z]], axis=1)
+    assert edge.sum() > 500
+    assert painted_distance_at(points, tubes=tubes) == pytest.approx((0.5 - share[edge]) * cell_mm, abs=0.01)
+    # The edge between both branches is rounded, so there the lumen is wider than the union of their balls.
+    balls = np.min(
+        [np.linalg.norm(points[:, None] - one.points, axis=2) - one.radius_mm for one in tubes[:3]], axis=(0, 2)
+    )
+    assert (balls - (0.5 - share[edge]) * cell_mm).max() > 0.1
+    assert (painted_distance_at(np.array([[0.0, 30.0, 0.0]]), tubes=tubes) > OUTSIDE_MM).all()
 
 
 def test_lumen_far_from_the_path_counts_as_closed() -> None:

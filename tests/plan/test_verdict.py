@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
+import threading
 from functools import cache
 from typing import Any
 
@@ -16,7 +17,7 @@ from nodules import ellipsoid
 from carina.errors import CancelledError, UsageError
 from carina.plan import Plan, Verdict, judge_pairs, judge_scope, judge_scopes, tool
 from carina.plan.movement.target_movement import TargetMovement
-from carina.plan.routes.fork_ridges import ForkRidge
+from carina.plan.routes.fork_ridges import ForkRidge, RouteRidges
 from carina.plan.routes.last_leg import LastLeg, edge_on_needle_mm
 from carina.plan.routes.main_carina import ROOT
 from carina.plan.routes.measured_lumen import MeasuredLumen
@@ -27,6 +28,7 @@ from carina.plan.verdict import lever
 from carina.plan.verdict.checks import bend_check
 from carina.plan.verdict.drive_route import DriveWay
 from carina.plan.verdict.lever import lever_check
+from carina.plan.verdict.route_judge import InstrumentChecks, RouteJudge, SimulatedDrive
 from carina.scopes import ScopePreset, WallField, scope_preset, scope_presets
 from carina.track import AirwayTree, Branch
 
@@ -260,6 +262,21 @@ def test_every_pair_of_route_and_instrument_has_a_verdict_and_the_best_pair_is_f
     assert judge_scope(tree, plan, field, presets[1], route=good).to_json() == pairs[0].to_json()
 
 
+def test_drives_along_different_routes_are_simulated_at_the_same_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    tree, field, plan = two_routes()
+    good = plan.routes[1]
+    plan = dataclasses.replace(plan, routes=(dataclasses.replace(good, along_mm=good.along_mm - 1.0), good))
+    both_started, drive = threading.Barrier(2), RouteJudge.drive
+
+    def waiting(judge: RouteJudge, figures: InstrumentChecks) -> SimulatedDrive:
+        both_started.wait(timeout=60.0)
+        return drive(judge, figures)
+
+    monkeypatch.setattr(RouteJudge, "drive", waiting)
+    pairs = judge_pairs(tree, plan, field, scopes=[scope()], effort=1.0)
+    assert {one.route_key for one in pairs} == {route.key for route in plan.routes}
+
+
 def test_pairs_of_instruments_that_are_not_available_follow_the_others() -> None:
     tree, field, plan = two_routes()
     presets = [scope(name="wide", tip_mm=6.0), scope(name="fits")]
@@ -356,15 +373,16 @@ def test_drive_must_also_pass_the_ridges_that_the_blur_of_the_ct_may_hide() -> N
         (1, 2), points[n] + [RADIUS_MM, 0.0, 0.0], np.array([-1.0, 0.0, 0.0]), np.array([0.0, 1.0, 0.0]), 2.0
     )
 
-    def found(hidden_mm: float) -> Verdict:
-        lumen = dataclasses.replace(route.lumen, ridges=(ridge,), hidden_mm=hidden_mm)
-        one = dataclasses.replace(plan, routes=(dataclasses.replace(route, lumen=lumen),))
-        return judge_scope(tree, one, field, scope(tip_mm=2.4))
+    def found(hidden_mm: float, lumen: MeasuredLumen | None) -> Verdict:
+        ridged = dataclasses.replace(route, lumen=lumen, ridges=RouteRidges((ridge,), hidden_mm))
+        return judge_scope(tree, dataclasses.replace(plan, routes=(ridged,)), field, scope(tip_mm=2.4))
 
-    assert found(0.0).outcome == "reaches"
-    assert found(0.3).outcome == "reaches"
-    blocked = found(2.5)
-    assert blocked.outcome == "may reach" and "as the blur of the CT may hide" in check(blocked, "drive").words
+    assert found(0.0, route.lumen).outcome == "reaches"
+    assert found(0.3, route.lumen).outcome == "reaches"
+    # A lumen without a measured width has ridges too.
+    assert found(0.3, None).outcome == "reaches"
+    for blocked in (found(2.5, route.lumen), found(2.5, None)):
+        assert blocked.outcome == "may reach" and "as the blur of the CT may hide" in check(blocked, "drive").words
 
 
 def test_scope_is_aimed_until_its_tool_surely_reaches_the_target() -> None:

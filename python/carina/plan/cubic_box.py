@@ -118,10 +118,13 @@ def trilinear(hu_zyx: NDArray[Any], ijk: NDArray[np.float64]) -> NDArray[np.floa
     part = ijk - low
     high = np.minimum(low + 1, (np.array(hu_zyx.shape[::-1]) - 1)[:, None])
     total = np.zeros(ijk.shape[1])
+    shares = 1.0 - part, part
     for corner in range(8):
-        ends = [(high if corner >> a & 1 else low)[a] for a in range(3)]
-        weight = np.prod([part[a] if corner >> a & 1 else 1.0 - part[a] for a in range(3)], axis=0)
-        total += weight * hu_zyx[ends[2], ends[1], ends[0]]
+        i, j, k = (corner >> a & 1 for a in range(3))
+        ends = (low, high)
+        weight = shares[i][0] * shares[j][1]
+        weight *= shares[k][2]
+        total += weight * hu_zyx[ends[k][2], ends[j][1], ends[i][0]]
     return total
 
 

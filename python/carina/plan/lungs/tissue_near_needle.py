@@ -235,8 +235,7 @@ def _seen(box: Box, nodule: Nodule | None, wall: WallField, on_share: OnShare = 
     dense = (smooth > lung_hu + RISE_HU) & (to_wall < -WALL_MM)
     clear = to_wall < -LINE_WALL_MM
     if nodule is not None:
-        inside = nodule.contains(_centres(box, np.ones(dense.shape, dtype=bool))).reshape(dense.shape)
-        away = ball_distance(~inside, box.step_mm, BLUR_MM) > BLUR_MM
+        away = ball_distance(~_inside(nodule, box), box.step_mm, BLUR_MM) > BLUR_MM
         dense &= away
         clear &= away
     half = 0.5 * THICKEST_VESSEL_MM
@@ -256,6 +255,22 @@ def _seen(box: Box, nodule: Nodule | None, wall: WallField, on_share: OnShare = 
     vessel_mm = _distance(vessel, box.step_mm)
     on_share(0.9)
     return NearbyTissue(box, lung_hu, vessel, thick, vessel_mm, _distance(thick, box.step_mm), sure)
+
+
+def _inside(nodule: Nodule, box: Box) -> Mask:
+    """Return the voxels of a box whose centres are in a nodule; only those near its mask are tested."""
+    size = np.array(nodule.inside_zyx.shape[::-1], dtype=np.float64)
+    ends = np.array([[i, j, k] for i in (0, 1) for j in (0, 1) for k in (0, 1)]) * (size + 1.0) - 1.0
+    corners = ends @ nodule.lps_from_ijk[:3, :3].T + nodule.lps_from_ijk[:3, 3]
+    shape = np.array(box.hu_zyx.shape[::-1])
+    places = (corners - box.lps_from_ijk[:3, 3]) / box.step_mm
+    low = np.clip(np.floor(places.min(axis=0)), 0, shape).astype(int)
+    high = np.clip(np.ceil(places.max(axis=0)) + 1, 0, shape).astype(int)
+    near = np.zeros(box.hu_zyx.shape, dtype=bool)
+    near[low[2] : high[2], low[1] : high[1], low[0] : high[0]] = True
+    found = np.zeros(near.shape, dtype=bool)
+    found[near] = nodule.contains(_centres(box, near))
+    return found
 
 
 def _distance(mask: Mask, step_mm: float) -> NDArray[np.float32]:

@@ -31,6 +31,13 @@ BEHIND_MM = 1.0
 """Length in mm of an extending plate behind the edge, inside the wall, so that there is no gap between both."""
 HALF_PLATE_MM = 0.2
 """Half of the thickness in mm of an extending plate: what the blur of a CT hides is thin."""
+MAX_RIDGES = 32
+"""Largest number of ridges of a wall field; the last ones of a longer route count."""
+HIDDEN_SHARE = 0.37
+"""Length of a ridge that the CT hides in 95 % at most, as a share of the CT's coarsest spacing.
+
+Measured at 206 forks of generated chests (benchmarks/measurements/planning.md).
+"""
 
 
 @one_line
@@ -63,7 +70,33 @@ class ForkRidge:
         return np.stack([middle, half_mm * self.into_parent, self.half_width_mm * self.along_edge])
 
 
-def fork_ridges(lineage: Sequence[Branch], branches: Sequence[Branch], wall: WallField) -> tuple[ForkRidge, ...]:
+@one_line
+@dataclass(frozen=True, slots=True, eq=False)
+class RouteRidges:
+    """Ridges at the forks of a route, and the length of each that the blur of the CT may hide."""
+
+    ridges: tuple[ForkRidge, ...] = ()
+    """Ridges of the segmented wall, from the root of the tree."""
+    hidden_mm: float = 0.0
+    """Length in mm by which the true ridges may extend farther into the parents than the segmented ones."""
+
+    def lengthened(self, wall: WallField) -> WallField:
+        """Return a wall whose ridges at the forks of the route are as long as the blur of the CT may hide.
+
+        Parameters
+        ----------
+        wall
+            Wall of the segmented lumen, or of a measured lumen.
+        """
+        if not self.ridges or self.hidden_mm <= 0.0:
+            return wall
+        plates = np.stack([ridge.plate_lps(self.hidden_mm) for ridge in self.ridges[-MAX_RIDGES:]])
+        return wall.with_ridges(plates, half_mm=HALF_PLATE_MM)
+
+
+def fork_ridges(
+    lineage: Sequence[Branch], branches: Sequence[Branch], wall: WallField, *, spacing_mm: float
+) -> RouteRidges:
     """Return the ridges at the forks of a route, in their order; forks without a wall between branches have none.
 
     Parameters
@@ -74,13 +107,15 @@ def fork_ridges(lineage: Sequence[Branch], branches: Sequence[Branch], wall: Wal
         Branches of the whole tree.
     wall
         Wall of the segmented lumen.
+    spacing_mm
+        Coarsest spacing of the CT, which determines how much of a ridge its blur may hide.
     """
     by_id = {branch.id: branch for branch in branches}
     found = []
     for parent, child in itertools.pairwise(lineage):
         others = [by_id[one] for one in parent.children if one != child.id and one in by_id]
         found += [ridge for other in others if (ridge := _ridge(child, other, wall)) is not None]
-    return tuple(found)
+    return RouteRidges(tuple(found), HIDDEN_SHARE * spacing_mm)
 
 
 def _ridge(one: Branch, other: Branch, wall: WallField) -> ForkRidge | None:

@@ -15,26 +15,18 @@ from numpy.typing import NDArray
 
 from carina.display import one_line
 from carina.plan.routes.clearance import middle_line
-from carina.plan.routes.fork_ridges import HALF_PLATE_MM, ForkRidge
 from carina.scopes import WallField
 from carina.track import Branch, BranchMeasures, TreeMeasures
 from carina.track.measures.diameter import Passage
 
 Points = NDArray[np.float64]
 
-MAX_RIDGES = 32
-"""Largest number of ridges of a wall field; the last ones of a longer route count."""
 SMOOTH_MM = 1.5
 """Half the length in mm over which the axis of the lumen is averaged: measured centres scatter by some 0.1 mm."""
 WIDE_MM = 4.2
 """Radius in mm up to which the lumen is widened: no instrument is wider, and a wall field stores up to 4.5 mm."""
 CENTRE_MM = 0.1
 """Distance in mm of the axis from a measured centre that does not count: measured centres scatter by this distance."""
-HIDDEN_SHARE = 0.37
-"""Length of a ridge that the CT hides in 95 % at most, as a share of the CT's coarsest spacing.
-
-Measured at 206 forks of generated chests (benchmarks/measurements/planning.md).
-"""
 MIN_RADIUS_MM = 1e-3
 """Radius in mm of the tube where there is no lumen; it must be above 0, and no instrument is thinner."""
 
@@ -57,10 +49,6 @@ class MeasuredLumen:
 
     It is -`WIDE_MM` in a wide lumen, whose wall is not moved.
     """
-    ridges: tuple[ForkRidge, ...] = ()
-    """Ridges of the segmented wall at the forks of the route."""
-    hidden_mm: float = 0.0
-    """Length in mm by which the true ridges may extend farther into the parents than the segmented ones."""
 
     def widened(self, wall: WallField) -> WallField:
         """Return a wall with the measured lumen where the segmented lumen is narrower.
@@ -89,19 +77,6 @@ class MeasuredLumen:
         excess[self.surplus_mm <= -WIDE_MM] = 0.0
         return self._with_tube(wall, error_share=error_share, excess=excess)
 
-    def with_longer_ridges(self, wall: WallField) -> WallField:
-        """Return a wall whose ridges at the forks of the route are as long as the blur of the CT may hide.
-
-        Parameters
-        ----------
-        wall
-            Wall of the segmented lumen, or of one of the measured lumens.
-        """
-        if not self.ridges or self.hidden_mm <= 0.0:
-            return wall
-        plates = np.stack([ridge.plate_lps(self.hidden_mm) for ridge in self.ridges[-MAX_RIDGES:]])
-        return wall.with_ridges(plates, half_mm=HALF_PLATE_MM)
-
     def _with_tube(self, wall: WallField, *, error_share: float, excess: Points) -> WallField:
         radius = _limited(self.axis_lps, self.ball_mm + self.lack_mm - 0.5 * error_share * self.error_mm)
         changed = np.flatnonzero((radius > self.ball_mm) | (excess > 0.0))
@@ -114,14 +89,7 @@ class MeasuredLumen:
         return wall.with_tube(self.axis_lps[own], np.maximum(radius[own], MIN_RADIUS_MM), excess_mm=excess[own])
 
 
-def measured_lumen(
-    lineage: Sequence[Branch],
-    wall: WallField,
-    measures: TreeMeasures,
-    *,
-    ridges: tuple[ForkRidge, ...] = (),
-    spacing_mm: float = 0.0,
-) -> MeasuredLumen | None:
+def measured_lumen(lineage: Sequence[Branch], wall: WallField, measures: TreeMeasures) -> MeasuredLumen | None:
     """Return the measured lumen along a route; None if the lumen is nowhere narrow or was not measured.
 
     Only sections away from forks widen the lumen. Elsewhere, as in a fork, the difference of measured and segmented
@@ -137,10 +105,6 @@ def measured_lumen(
         Wall of the segmented lumen.
     measures
         Measures of the tree.
-    ridges
-        Ridges at the forks of the route (`fork_ridges`).
-    spacing_mm
-        Coarsest spacing of the CT, which determines how much of a ridge its blur may hide.
     """
     parts = [_branch_lumen(branch, wall, measures.of(branch.id), measures.passage(branch.id)) for branch in lineage]
     points = np.concatenate([part.middle_lps for part in parts])
@@ -174,8 +138,6 @@ def measured_lumen(
         np.where(is_narrow, lack[own], 0.0),
         error[own],
         np.where(is_narrow, surplus[own], -WIDE_MM),
-        ridges,
-        HIDDEN_SHARE * spacing_mm,
     )
 
 

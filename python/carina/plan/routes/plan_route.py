@@ -31,7 +31,7 @@ from carina.plan.lungs.tissue_near_needle import surroundings
 from carina.plan.movement.target_movement import TargetMovement
 from carina.plan.routes.attainable_directions import StandingPlace, TipDirections
 from carina.plan.routes.ct_notes import ct_notes
-from carina.plan.routes.fork_ridges import fork_ridges
+from carina.plan.routes.fork_ridges import RouteRidges, fork_ridges
 from carina.plan.routes.last_leg import LastLeg, NeedleScene, leg_as_aimed, where_it_may_have_moved, with_errors
 from carina.plan.routes.main_carina import DistanceOrigin, distance_origin
 from carina.plan.routes.measured_lumen import MeasuredLumen, measured_lumen
@@ -151,6 +151,8 @@ class PlannedRoute:
     """
     lumen: MeasuredLumen | None = None
     """Measured lumen along the route, in which drives are simulated; None drives in the segmented lumen."""
+    ridges: RouteRidges = field(default_factory=RouteRidges)
+    """Ridges at the forks of the route; none for a route that was not made by `plan_route`."""
 
     @property
     def key(self) -> str:
@@ -537,13 +539,8 @@ def draft_plan(
                 openings=openings_of_route(
                     *at, scope=preset, wall=wall, measures=measures, spacing_mm=spacing_mm, origin=start
                 ),
-                lumen=measured_lumen(
-                    lineage,
-                    wall,
-                    measures,
-                    ridges=fork_ridges(lineage, airways.tree.branches, wall),
-                    spacing_mm=spacing_mm,
-                ),
+                lumen=measured_lumen(lineage, wall, measures),
+                ridges=fork_ridges(lineage, airways.tree.branches, wall, spacing_mm=spacing_mm),
             )
 
         kept = tuple(with_figures(route) for route in kept)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -36,6 +37,8 @@ NUM_ROLLS, NUM_LEVERS = 12, 6
 
 The lever goes up only, because the rolls cover the full circle.
 """
+NUM_THREADS = 2
+"""Number of rolls of the grid that are tried at the same time; the result does not depend on the number."""
 BEST_HOLDS = 4
 """Number of holds of the grid that are executed as moves: those from which most needles hit."""
 GRIDS_BACK_MM = (0.0, 3.0)
@@ -183,15 +186,22 @@ def _holds(arrived: MoveRecorder, aim: Points, hit_share: HitShare) -> list[tupl
     The pose depends on the order of turn and flexion, so the moves have the order of the grid: turn, straighten, flex.
     """
     up_deg = math.degrees(arrived.drive.flexion_range_rad[1])
-    held: list[tuple[tuple[float, float], tuple[Move, ...]]] = []
-    for turn in STEP_DEG * np.round(360.0 * np.arange(NUM_ROLLS) / NUM_ROLLS / STEP_DEG):
-        turned = Move((float(turn) + 180.0) % 360.0 - 180.0, 0.0, 0.0)
+
+    def at_roll(turn: float) -> list[tuple[tuple[float, float], tuple[Move, ...]]]:
+        turned = Move((turn + 180.0) % 360.0 - 180.0, 0.0, 0.0)
         recorder = arrived.copy()
         recorder.repeat((turned,))
+        found = []
         for lever in np.linspace(0.0, up_deg, NUM_LEVERS + 1)[1:]:
             flexed = Move(0.0, STEP_DEG * math.trunc(float(lever) / STEP_DEG), 0.0)
             recorder.repeat((flexed,))
             share, off_deg = _judged(recorder, aim, hit_share)
-            held.append(((-share, off_deg), (turned, flexed)))
+            found.append(((-share, off_deg), (turned, flexed)))
+        return found
+
+    rolls = STEP_DEG * np.round(360.0 * np.arange(NUM_ROLLS) / NUM_ROLLS / STEP_DEG)
+    # The grid takes most of the time of a drive that does not point, and its rolls are independent of each other.
+    with ThreadPoolExecutor(NUM_THREADS) as pool:
+        held = [hold for found in pool.map(at_roll, rolls.tolist()) for hold in found]
     held.sort(key=lambda one: one[0])
     return [moves for _, moves in held[:BEST_HOLDS]]

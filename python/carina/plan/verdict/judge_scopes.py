@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor, as_completed
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 from carina.display.progress import ProgressChoice, progress_function, share_function, shows_progress
@@ -85,43 +85,70 @@ def judge_scopes(
         effort=effort,
         cancel=cancel,
     )
-    listed = list(scope_presets() if scopes is None else scopes)
-    verdicts: dict[int, Verdict] = {}
+    listed = tuple(scope_presets() if scopes is None else scopes)
+    on_share = share_function(progress_function(progress), "driving each instrument along the route")
+    (verdicts,) = _judged([_Task(judge, listed)], found, on_share)
+    return verdicts
 
-    def tell(n: int, verdict: Verdict) -> None:
-        verdicts[n] = verdict
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Task:
+    """Instruments that are judged on one route, with one tool."""
+
+    judge: RouteJudge
+    scopes: tuple[ScopePreset, ...]
+
+
+def _judged(
+    tasks: Sequence[_Task], found: Callable[[Verdict], None] | None, on_share: Callable[[float], None] | None
+) -> list[tuple[Verdict, ...]]:
+    """Return the verdicts of each task in the order of its instruments.
+
+    All drives of all tasks share the threads, so no processor waits for the last drive of a task.
+    """
+    verdicts: dict[tuple[int, int], Verdict] = {}
+    num = sum(len(task.scopes) for task in tasks)
+
+    def tell(place: tuple[int, int], verdict: Verdict) -> None:
+        verdicts[place] = verdict
         if found is not None:
             found(verdict)
         if on_share is not None:
-            on_share(len(verdicts) / len(listed))
+            on_share(len(verdicts) / num)
 
-    on_share = share_function(progress_function(progress), "driving each instrument along the route")
     if on_share is not None:
         on_share(0.0)
-    waiting: dict[int, InstrumentChecks] = {}
-    for n, scope in enumerate(listed):
-        judge.stop_if_cancelled()
-        figures = judge.figures(scope)
-        if figures.driven_as is None:
-            tell(n, judge.undriven(scope, figures))
-        else:
-            waiting[n] = figures
+    waiting: dict[tuple[int, int], InstrumentChecks] = {}
+    for n, task in enumerate(tasks):
+        for k, scope in enumerate(task.scopes):
+            task.judge.stop_if_cancelled()
+            figures = task.judge.figures(scope)
+            if figures.driven_as is None:
+                tell((n, k), task.judge.undriven(scope, figures))
+            else:
+                waiting[n, k] = figures
     with ThreadPoolExecutor(NUM_THREADS) as pool:
         # Instruments with the same mechanical sizes share one simulated drive.
         drives: dict[tuple[Any, ...], Future[SimulatedDrive]] = {}
-        for figures in waiting.values():
-            if figures.drive_key not in drives:
-                drives[figures.drive_key] = pool.submit(judge.drive, figures)
+        sharing: dict[Future[SimulatedDrive], list[tuple[int, int]]] = {}
+        for place, figures in waiting.items():
+            key = place[0], figures.drive_key
+            if key not in drives:
+                drives[key] = pool.submit(tasks[place[0]].judge.drive, figures)
+            sharing.setdefault(drives[key], []).append(place)
         try:
-            for done in as_completed(drives.values()):
+            for done in as_completed(sharing):
                 drive = done.result()
-                for n, figures in waiting.items():
-                    if drives[figures.drive_key] is done:
-                        tell(n, judge.driven(listed[n], figures, drive))
+                for n, k in sharing[done]:
+                    task = tasks[n]
+                    tell((n, k), task.judge.driven(task.scopes[k], waiting[n, k], drive))
         except BaseException:
-            judge.stopped = True
+            for job in sharing:
+                job.cancel()
+            for task in tasks:
+                task.judge.stopped = True
             raise
-    return tuple(verdicts[n] for n in range(len(listed)))
+    return [tuple(verdicts[n, k] for k in range(len(task.scopes))) for n, task in enumerate(tasks)]
 
 
 @shows_progress
@@ -179,31 +206,20 @@ def judge_pairs(
     by_tool: dict[Tool, list[ScopePreset]] = {}
     for scope in listed:
         by_tool.setdefault(tool_for(scope, plan.tool), []).append(scope)
-    judged: list[Verdict] = []
-    num = len(chosen) * len(listed)
-
-    def tell(verdict: Verdict) -> None:
-        judged.append(verdict)
-        if found is not None:
-            found(verdict)
-        if on_share is not None:
-            on_share(len(judged) / num)
-
+    tasks: list[_Task] = []
     for route in chosen:
-        for tool, presets in by_tool.items():
-            judge_scopes(
-                tree,
-                replace(plan, tool=tool),
-                wall,
-                route=route,
-                scopes=presets,
-                origin_depth_mm=origin_depth_mm if route.origin == chosen[0].origin else None,
-                errors=errors,
-                effort=effort,
-                found=tell,
-                progress=False,
-                cancel=cancel,
-            )
+        judge = RouteJudge(
+            tree,
+            plan,
+            wall,
+            route=route,
+            origin_depth_mm=origin_depth_mm if route.origin == chosen[0].origin else None,
+            errors=errors,
+            effort=effort,
+            cancel=cancel,
+        )
+        tasks += [_Task(judge.with_tool(tool), tuple(presets)) for tool, presets in by_tool.items()]
+    judged = [verdict for verdicts in _judged(tasks, found, on_share) for verdict in verdicts]
     return pairs_in_order(plan, judged, available=available)
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import math
 from collections.abc import Callable
+from copy import copy
 from dataclasses import dataclass, replace
 from statistics import NormalDist
 from typing import Any
@@ -172,6 +173,12 @@ class RouteJudge:
     def aim(self) -> Points:
         """Point in the target that the drive is aimed at, (3,) LPS mm."""
         return self._aim
+
+    def with_tool(self, tool: Tool) -> RouteJudge:
+        """Return a judge of the same route for instruments with another tool, which shares the route and its wall."""
+        other = copy(self)
+        other._plan = replace(self._plan, tool=tool)
+        return other
 
     def _way_in(self, tree: AirwayTree, planned: PlannedRoute, wall: WallField) -> DriveWay:
         way = DriveWay(tree, planned, wall)
@@ -377,14 +384,14 @@ class RouteJudge:
         """Return the error of the lumen with which no drive points at the target, as text; None if there is none.
 
         The errors are those of the diameters and of the ridges between branches. Both are tried together first, because
-        a drive that points in this lumen needs no other; that both occur is too unlikely to be required. None also if
-        the lumen was not measured, because the drive was then simulated in the segmented lumen.
+        a drive that points in this lumen needs no other; that both occur is too unlikely to be required. A lumen that
+        was not measured (`PlannedRoute.lumen` is None) has no error of its diameters, but its ridges.
         """
-        lumen = self._route.lumen
-        if lumen is None or not self._errors:
+        if not self._errors:
             return None
-        narrow = lumen.narrowest(self._wall, error_share=ERROR_SHARE)
-        both = lumen.with_longer_ridges(narrow)
+        lumen, ridges = self._route.lumen, self._route.ridges
+        narrow = self._drive_wall if lumen is None else lumen.narrowest(self._wall, error_share=ERROR_SHARE)
+        both = ridges.lengthened(narrow)
         if both is self._drive_wall or self._points_in(both, scope, driven):
             return None
         if both is narrow:
@@ -393,7 +400,7 @@ class RouteJudge:
             return NOT_RIDGED
         if not self._points_in(narrow, scope, driven):
             return NOT_NARROW
-        return None if self._points_in(lumen.with_longer_ridges(self._drive_wall), scope, driven) else NOT_RIDGED
+        return None if self._points_in(ridges.lengthened(self._drive_wall), scope, driven) else NOT_RIDGED
 
     def _points_in(self, wall: WallField, scope: ScopePreset, driven: DrivenRoute) -> bool:
         """Return whether the moves of a drive, or another drive, point at the target in another lumen."""

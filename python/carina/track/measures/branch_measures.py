@@ -262,6 +262,8 @@ class TreeMeasures(Tabular):
     """Cache key of each branch: the data from which the branch was measured (see :func:`measure_tree`)."""
     _measured: tuple[Branch, ...] = dataclasses.field(default=(), repr=False)
     """Branches that were measured, in the same order: the table contains their names."""
+    _passages: dict[int, Passage] = dataclasses.field(default_factory=dict, init=False, repr=False)
+    """Cache of the passages by branch ID: each plan reads those of all branches several times."""
 
     @classmethod
     def made_before(
@@ -355,12 +357,18 @@ class TreeMeasures(Tabular):
         UsageError
             If there is no such branch.
         """
+        known = self._passages.get(branch_id)
+        if known is not None:
+            return known
         has_fork = self.fork_of(branch_id) is not None
         parent = next((fork.branch_id for fork in self.forks if branch_id in fork.children), None)
         if parent is None:
-            return self.of(branch_id).passage(has_fork=has_fork).without_start()
-        parent_mm = self.of(parent).summary.mean_mm
-        return self.of(branch_id).passage(has_fork=has_fork, parent_mm=parent_mm or 0.0)
+            found = self.of(branch_id).passage(has_fork=has_fork).without_start()
+        else:
+            parent_mm = self.of(parent).summary.mean_mm
+            found = self.of(branch_id).passage(has_fork=has_fork, parent_mm=parent_mm or 0.0)
+        self._passages[branch_id] = found
+        return found
 
     def narrowest_of_route(self, branch_ids: Iterable[int], until_mm: float = math.inf) -> Diameter | None:
         """Return the narrowest diameter that can pass along a route; None if nothing was measured.

@@ -181,8 +181,8 @@ def passage_of(
     at, value, error, is_fork = at_mm[used], value[used], error[used], at_junction[used]
     near = np.abs(at[:, None] - at[None, :]) <= NARROW_REACH_DIAMETERS * float(np.median(value))
     rows = [np.sort(value[row]) for row in near]
-    medians = np.array([np.median(row) for row in rows])
-    model = np.array([np.median(error[row]) for row in near])
+    medians = np.array([_median_of_sorted(row) for row in rows])
+    model = np.array([_median_of_sorted(np.sort(error[row])) for row in near])
     medians = _with_true_spread(at, value, medians, near, ~is_fork)
     fork_share = np.array([is_fork[row].mean() for row in near])
     # One narrow section may be an error. Two beyond the error are a narrowing that is too short for the median.
@@ -194,6 +194,12 @@ def passage_of(
     share = np.hypot(PASSAGE_ERROR + FORK_ERROR * fork_share, MOUTH_ERROR * is_mouth)
     whole = np.sqrt(np.square(model) + np.square(dip) + np.square(share * diameter))
     return Passage(branch_id, at, diameter, whole, unmeasured, float(at_mm[-1]))
+
+
+def _median_of_sorted(values: Floats) -> float:
+    """Return the median of sorted finite values, bit for bit that of `numpy.median`, which takes ten times as long."""
+    half = len(values) // 2
+    return float(values[half]) if len(values) % 2 else 0.5 * float(values[half - 1] + values[half])
 
 
 def narrowest_of_passages(passages: Sequence[Passage]) -> Diameter | None:

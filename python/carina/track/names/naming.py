@@ -225,8 +225,7 @@ def _side_and_lobe(branches: tuple[Branch, ...], is_human: bool | None) -> dict[
     A named tree was judged when it was named (``is_human``); other trees are judged here (None).
     """
     whole = AirwayTree(branches)
-    tree, place_of = seen_part(whole)
-    read = _read(tree)
+    tree, place_of, read = _seen_and_read(branches)
     found: dict[int, str | None] = dict.fromkeys((branch.id for branch in tree.branches), None)
     by_place = {} if (read.is_misfit if is_human is None else not is_human) else _lobes_of(read)
     for number, branch in enumerate(tree.branches):
@@ -237,6 +236,16 @@ def _side_and_lobe(branches: tuple[Branch, ...], is_human: bool | None) -> dict[
                 lobe = words.lobe
         found[branch.id] = lobe
     return {branch.id: found.get(place_of.get(branch.id, -1)) for branch in whole.branches}
+
+
+@lru_cache(maxsize=NUM_TREES)
+def _seen_and_read(branches: tuple[Branch, ...]) -> tuple[AirwayTree, dict[int, int], _Named]:
+    """Return the visible part of a tree with the IDs of its branches (`seen_part`), and its likeliest readings.
+
+    They are cached, because lobes and absent segments of one tree are both computed from them.
+    """
+    tree, place_of = seen_part(AirwayTree(branches))
+    return tree, place_of, _read(tree)
 
 
 def segment_readings(tree: AirwayTree) -> tuple[float | None, list[tuple[str, float, tuple[int, ...]]]]:
@@ -274,8 +283,7 @@ def segments_of_unnamed(tree: AirwayTree) -> dict[int, frozenset[str]]:
 
     The readings of these branches are too uncertain for a name. Branches inside a segment and twigs are left out.
     """
-    tree, _ = seen_part(tree)
-    read = _read(tree, judges_fit=False)
+    tree, _, read = _seen_and_read(tuple(tree.branches))
     found: dict[int, frozenset[str]] = {}
     for bronchus, reading in zip(read.bronchi, read.solution.readings, strict=True):
         state = reading.state if reading.settled is None else reading.settled
