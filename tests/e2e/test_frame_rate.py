@@ -23,8 +23,8 @@ def slow_file(tmp_path) -> Path:
 
 @pytest.fixture
 def opens(slow_file):
-    """Return the options for a workstation whose airway view can be made slow."""
-    return {"demo": "phantom", "slow_file": str(slow_file)}
+    """Return the options for a workstation with the rate of a user, whose airway view can be made slow."""
+    return {"demo": "phantom", "slow_file": str(slow_file), "rate_hz": 60.0}
 
 
 def test_status_bar_shows_rate_and_resolution_in_flight_and_full_resolution_at_rest(server, workstation):

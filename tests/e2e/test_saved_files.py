@@ -156,10 +156,8 @@ def test_forks_of_a_route_are_saved_as_one_picture(opened, tmp_path):
     opened.choose_branch(first)
     opened.wait_for("window.__carina.state.route.title === 'RMB'")
     page.get_by_role("button", name="Route", exact=True).click()
-    for width, height in ((1280, 720), (1920, 1080)):
-        page.set_viewport_size({"width": width, "height": height})
-        page.get_by_test_id("save-forks").scroll_into_view_if_needed()
-        opened.picture(f"route-files-{width}")
+    page.get_by_test_id("save-forks").scroll_into_view_if_needed()
+    opened.pictures("route-files", [(1280, 720), (1920, 1080)])
     sheet = download(page, tmp_path, lambda: page.get_by_test_id("save-forks").click())
     assert sheet.name == "forks.png"
     height, width = pixels(sheet).shape[:2]

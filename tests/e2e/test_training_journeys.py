@@ -30,6 +30,7 @@ LARGE, SMALL, TABLET = (
     {"width": 1280, "height": 720},
     {"width": 820, "height": 1180},
 )
+SIZES = [(size["width"], size["height"]) for size in (LARGE, SMALL, TABLET)]
 PUSH = """async (reports) => {
   for (const bytes of reports) {
     window.testHid.handle.report(1, bytes);
@@ -108,9 +109,7 @@ def test_trainee_reaches_mastery_from_the_start_page(host, workstation, home):
     verdict = page.get_by_test_id("course-verdict").inner_text()
     assert verdict.startswith("Mastery"), verdict
     assert workstation.state("training.course.learners[0].mastery") is True
-    for name, size in (("large", LARGE), ("small", SMALL), ("tablet", TABLET)):
-        page.set_viewport_size(size)
-        workstation.picture(f"journey-mastery-{name}")
+    workstation.pictures("journey-mastery", SIZES)
     page.keyboard.press("Escape")
     assert workstation.faults == []
     host.close(running)
@@ -208,10 +207,7 @@ def test_teacher_follows_three_learners_and_sees_their_scores(host, workstation,
     assert [text.splitlines()[0] for text in texts] == ["Blue heron", "Grey wagtail", "Red kite"]
     assert "Flying now: Find RB6: 0 of 1 steps" in texts[2]
     assert "of 1 steps" in texts[0]
-    for name, size in (("large", LARGE), ("small", SMALL), ("tablet", TABLET)):
-        watcher.page.set_viewport_size(size)
-        watcher.wait_still()
-        watcher.picture(f"journey-teacher-{name}")
+    watcher.pictures("journey-teacher", SIZES)
     end(page)
     watcher.wait_for("window.__carina.state.training.classroom[2].attempts.length === 1")
     close_score(page)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -492,6 +493,20 @@ class Workstation:
     def picture(self, name: str) -> None:
         """Save a screenshot if pictures were requested."""
         picture_of(self.page, name)
+
+    def pictures(self, name: str, sizes: Iterable[tuple[int, int]]) -> None:
+        """Save a screenshot at each size of the window if pictures were requested; then restore the size.
+
+        Without this request the window is not resized: each size makes the server render all views again.
+        """
+        if not os.environ.get("CARINA_PICTURES"):
+            return
+        before = self.page.viewport_size
+        for width, height in sizes:
+            self.page.set_viewport_size({"width": width, "height": height})
+            self.let_pass(300)
+            self.picture(f"{name}-{width}")
+        self.page.set_viewport_size(before)
 
     def failed(self, name: str) -> None:
         """Save data for the analysis of a failure: a screenshot, the log, and the state of the page."""

@@ -40,6 +40,7 @@ from carina.errors import CarinaError
 from carina.phone import PhoneSwitch
 from carina.render import AirwayView, Backend, isoregion_cache, scene
 from carina.scopes import Pose
+from carina.server import hub
 from carina.server.app import web_folder
 from carina.server.frames import pacing
 from carina.server.network.access_checks import Gate
@@ -58,6 +59,11 @@ from carina_bench.training import CLASSES, TrainingCase
 
 STARTS_S = 120.0
 OPENS_S = 600.0
+RATE_HZ = 15.0
+"""Default target rate of airway pictures while moving, in pictures per second.
+
+At the rate of a user, 60, each flight of a test occupies all cores, and no test needs its intermediate pictures.
+"""
 PER_PIXEL_S = 0.4 / (150 * 150)
 """Rendering time of a slow airway view, seconds per pixel: 0.4 s for the coarsest picture in a cell of 600 px."""
 MAX_STORED_BYTES = 1 << 20
@@ -418,6 +424,7 @@ def open_workstation(
     )
     DRIVES[number] = session, clock
     stack.callback(session.close)
+    hub.DEFAULT_RATE_HZ = options.get("rate_hz", RATE_HZ)
     page = PhoneSwitch(session, web_folder(), options.get("phone_address"))
     stack.callback(page.stop)
     started = threading.Event()

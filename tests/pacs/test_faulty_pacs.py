@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import struct
+import threading
+import time
 import warnings
+from dataclasses import replace
 from io import BytesIO
 from types import SimpleNamespace
 
@@ -167,6 +170,40 @@ def test_connections_of_the_listener_end_with_the_retrieval():
         assert association.is_established
     association.join(20)
     assert association.is_aborted
+
+
+@pytest.mark.parametrize("is_late", [False, True])
+def test_rejected_ae_title_is_named_also_if_the_connection_is_closed_first(server, monkeypatch, is_late):
+    """The thread that opens an association may wake up after the other thread has read the rejection and closed."""
+    server.entity.require_called_aet = True
+    connection = replace(server.start(), called_ae="NOBODY")
+    late = []
+
+    class LateEvent(threading.Event):
+        """Event whose wait ends after the connection was closed."""
+
+        def __init__(self, transport):
+            super().__init__()
+            self._transport = transport
+
+        def wait(self, timeout=None):
+            super().wait(timeout)
+            late.append(self._transport)
+            while self._transport._is_connected:
+                time.sleep(0.001)
+            return True
+
+    class LateSocket(pynetdicom.transport.AssociationSocket):
+        def __init__(self, *given, **options):
+            super().__init__(*given, **options)
+            self._ready = LateEvent(self)
+
+    if is_late:
+        monkeypatch.setattr("pynetdicom.ae.AssociationSocket", LateSocket)
+    with pytest.raises(PacsError, match="does not have the AE title NOBODY") as found:
+        find_studies(connection, date="2026-11-03")
+    assert found.value.code == "pacs.ae-title"
+    assert len(late) == is_late
 
 
 def test_numbers_and_texts_of_a_damaged_answer_are_left_out(server, recwarn):

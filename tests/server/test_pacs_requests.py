@@ -18,7 +18,7 @@ from orthanc_server import free_port, require_orthanc, running_orthanc
 
 import carina
 import carina.pacs
-from cached_test_data import MASKED_CHEST, cached_airways, cached_phantom
+from cached_test_data import masked_chest
 from carina.errors import CancelledError
 from carina.export.plan_dicom_seg import write_target_seg
 from carina.pacs.retrieval_folder import RetrievalFolder
@@ -474,9 +474,7 @@ def test_retrieved_series_opens_in_place_of_the_case_of_the_request_or_of_none(l
 
 @pytest.fixture
 def trained(tmp_path, monkeypatch):
-    volume, airways = cached_phantom(**MASKED_CHEST).volume, cached_airways(**MASKED_CHEST)
-    wall = carina.wall_field(volume, airways, spacing_mm=0.6, progress=False)
-    made = Workstation(tmp_path / "case", (volume, airways, wall), monkeypatch)
+    made = Workstation(tmp_path / "case", masked_chest(), monkeypatch)
     yield made
     made.session.close()
 

@@ -7,8 +7,7 @@ import threading
 
 import pytest
 
-import carina
-from cached_test_data import MASKED_CHEST, cached_airways, cached_phantom
+from cached_test_data import masked_chest
 from carina.commands import (
     AddLearner,
     ChooseLearner,
@@ -35,8 +34,7 @@ from training_workstation import Workstation, flights, until
 
 @pytest.fixture(scope="module")
 def chest():
-    volume, airways = cached_phantom(**MASKED_CHEST).volume, cached_airways(**MASKED_CHEST)
-    return volume, airways, carina.wall_field(volume, airways, spacing_mm=0.6, progress=False)
+    return masked_chest()
 
 
 @pytest.fixture

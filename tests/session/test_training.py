@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import carina
-from cached_test_data import MASKED_CHEST, cached_airways, cached_phantom
+from cached_test_data import masked_chest
 from carina.commands import (
     AnswerQuiz,
     NextQuestion,
@@ -42,8 +42,7 @@ from training_workstation import Workstation, flights, until
 
 @pytest.fixture(scope="module")
 def chest():
-    volume, airways = cached_phantom(**MASKED_CHEST).volume, cached_airways(**MASKED_CHEST)
-    return volume, airways, carina.wall_field(volume, airways, spacing_mm=0.6, progress=False)
+    return masked_chest()
 
 
 @pytest.fixture

@@ -10,8 +10,7 @@ from pathlib import Path
 
 import pytest
 
-import carina
-from cached_test_data import MASKED_CHEST, cached_airways, cached_phantom
+from cached_test_data import masked_chest
 from carina.commands import (
     AddLearner,
     BeginAnew,
@@ -56,8 +55,7 @@ from training_workstation import Workstation, flights, until
 
 @pytest.fixture(scope="module")
 def chest():
-    volume, airways = cached_phantom(**MASKED_CHEST).volume, cached_airways(**MASKED_CHEST)
-    return volume, airways, carina.wall_field(volume, airways, spacing_mm=0.6, progress=False)
+    return masked_chest()
 
 
 @pytest.fixture

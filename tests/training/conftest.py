@@ -6,8 +6,7 @@ from dataclasses import dataclass
 
 import pytest
 
-import carina
-from cached_test_data import MASKED_CHEST, cached_airways, cached_phantom
+from cached_test_data import masked_chest
 from carina.scopes import WallField
 from carina.track import Airways, AirwayTree
 from carina.volume import Volume
@@ -26,6 +25,4 @@ class Chest:
 
 @pytest.fixture(scope="session")
 def chest() -> Chest:
-    volume, airways = cached_phantom(**MASKED_CHEST).volume, cached_airways(**MASKED_CHEST)
-    # The coarsest spacing is enough for the scores and twice as fast.
-    return Chest(volume, airways, carina.wall_field(volume, airways, spacing_mm=0.6, progress=False))
+    return Chest(*masked_chest())

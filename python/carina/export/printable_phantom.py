@@ -324,9 +324,14 @@ def _ball_distance(points: Points, branches: list[Branch]) -> NDArray[np.float64
     return best
 
 
-def boxes_near(groups: Points, places: Points, reach_mm: float) -> NDArray[np.int64]:
-    """Return which groups of points (n, m, 3) have a box within a reach of the box of some places."""
-    low, high = groups.min(axis=1), groups.max(axis=1)
+def boxes_of(groups: Points) -> tuple[Points, Points]:
+    """Return the corners (n, 3) of the boxes of groups of points (n, m, 3)."""
+    return groups.min(axis=1), groups.max(axis=1)
+
+
+def boxes_near(boxes: tuple[Points, Points], places: Points, reach_mm: float) -> NDArray[np.int64]:
+    """Return which of the boxes of `boxes_of` are within a reach of the box of some places."""
+    low, high = boxes
     first, last = places.min(axis=0) - reach_mm, places.max(axis=0) + reach_mm
     return np.flatnonzero(((high >= first) & (low <= last)).all(axis=1))
 
@@ -345,9 +350,10 @@ def with_dots(depth: NDArray[np.float64], away: NDArray[np.float64], groups: Poi
     dots_lps
         (k, 3) middles of the dots, LPS mm; neighbours in the array are neighbours in space.
     """
+    boxes = boxes_of(groups)
     for first in range(0, len(dots_lps), 16):
         some = dots_lps[first : first + 16]
-        for number in boxes_near(groups, some, DOT_MM):
+        for number in boxes_near(boxes, some, DOT_MM):
             gaps = np.linalg.norm(groups[number][:, None] - some[None], axis=2).min(axis=1)
             depth[number] = np.maximum(depth[number], np.minimum(DOT_MM - gaps, -away[number]))
 
@@ -369,7 +375,8 @@ class _Wall:
         away = self.field.distance_mm(groups.reshape(-1, 3)).reshape(groups.shape[:2])
         depth: NDArray[np.float64] = np.minimum(-away, away + self.wall_mm)
         with_dots(depth, away, groups, self.dots_lps)
+        boxes = boxes_of(groups)
         for cut in self.cuts:
-            for number in boxes_near(groups, cut.middle_lps[None], math.hypot(cut.radius_mm, cut.length_mm)):
+            for number in boxes_near(boxes, cut.middle_lps[None], math.hypot(cut.radius_mm, cut.length_mm)):
                 depth[number] = np.minimum(depth[number], -cut.inside_mm(groups[number]))
         return depth

@@ -100,15 +100,21 @@ class DimseClient:
         for abstract, syntaxes in contexts:
             entity.add_requested_context(abstract, list(syntaxes))
         tls = (tls_context(connection), connection.host) if connection.tls else None
+        rejections: list[tuple[int, int]] = []
+
+        def note_rejection(event: Any) -> None:
+            if isinstance(event.pdu, self._pynetdicom.pdu.A_ASSOCIATE_RJ):
+                rejections.append((event.pdu.source, event.pdu.reason_diagnostic))
+
         try:
             association = entity.associate(
                 connection.host, connection.port, ae_title=connection.called_ae, ext_neg=list(roles) or None,
-                evt_handlers=list(handlers), tls_args=tls,
+                evt_handlers=[*handlers, (self._pynetdicom.evt.EVT_PDU_RECV, note_rejection)], tls_args=tls,
             )  # fmt: skip
         except OSError as error:
             raise offline(connection, error) from None
         if not association.is_established:
-            raise self._refusal(association)
+            raise self._refusal(association, rejections[0] if rejections else None)
         try:
             accepted = {context.abstract_syntax for context in association.accepted_contexts}
             if service is not None and service not in accepted:
@@ -130,17 +136,26 @@ class DimseClient:
             )
         return PacsError(f"{self.name}: the PACS offers no service for this request", code="pacs.no-service")
 
-    def _refusal(self, association: Any) -> PacsError:
-        if association.is_rejected:
-            answer = association.acceptor.primitive
-            source, reason = getattr(answer, "result_source", 0), getattr(answer, "diagnostic", 0)
-            if (source, reason) == (1, 7):
+    def _refusal(self, association: Any, rejection: tuple[int, int] | None) -> PacsError:
+        """Return the error for an association that is not established.
+
+        Parameters
+        ----------
+        association
+            The association.
+        rejection
+            Source and reason of the rejection by the PACS; None if it sent none. The association's own state is not
+            enough: pynetdicom sets *aborted* instead of *rejected* if its second thread reads the rejection and closes
+            the connection before its first thread has checked the connection.
+        """
+        if rejection is not None:
+            if rejection == (1, 7):
                 return PacsError(
                     f"{self.name}: the PACS does not have the AE title {self._connection.called_ae}; ask its "
                     "administrator for its AE title",
                     code="pacs.ae-title",
                 )
-            if (source, reason) == (1, 3):
+            if rejection == (1, 3):
                 return PacsError(
                     f"{self.name}: the PACS does not know this machine; ask its administrator to enter the AE title "
                     f"{self._connection.calling_ae} with the address of this machine",
