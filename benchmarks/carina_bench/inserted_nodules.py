@@ -66,6 +66,8 @@ The classifier compares blur and noise; spicules and corners would tell it the s
 """
 TISSUE_HU, LUNG_HU, EDGE_HU = (-60.0, 140.0), -600.0, -400.0
 """Soft tissue, lung, and the boundary between them, HU."""
+CLEAR_MM = 2.0
+"""Distance in mm before a boundary beyond which the lung is free of other structures."""
 FEATURES = ("slope", "width", "overshoot", "noise in the slice", "noise across slices", "grain")
 CLASSES = ("matched", "unmatched", "real", "real again")
 SPICULATION = 0.3
@@ -170,6 +172,9 @@ def edge_features(part: _Part, mm: Floats) -> tuple[Floats, float] | None:
         return None
     low, high = float(np.median(profile[off < -2.5])), float(np.median(profile[off > 2.5]))
     if not (low < LUNG_HU and TISSUE_HU[0] < high < TISSUE_HU[1]):
+        return None
+    # A vessel before the edge, or the ground glass round a core, would measure the anatomy instead of the blur.
+    if profile[off < -CLEAR_MM].max() > 0.5 * (LUNG_HU + EDGE_HU):
         return None
     shares = (profile - low) / (high - low)
     slope = float(np.gradient(shares, STEP_MM).max())
@@ -344,14 +349,15 @@ def main(arguments: list[str] | None = None) -> int:
                 continue
             share = measured_share(volume, made)
             shares.append(share)
-            rows = None if made.kind == "ground-glass" else _classes(volume, made, number)
+            # The core of a part-solid nodule is in ground glass, and no other boundary of a CT is like its boundary.
+            rows = _classes(volume, made, number) if made.kind == "solid" else None
             for kind, row in (rows or {}).items():
                 samples[kind].append((case, number, row))
             texture, percent = made.texture, 100 * (share - 1.0)
             print(
                 f"CT {case} nodule {number:2} {made.kind:12} {made.diameter_mm:4.1f} mm: volume {percent:+.1f} %, blur "
                 f"{', '.join(f'{one:.2f}' for one in texture.sigma_mm)} mm, gain {texture.gain:.2f}, noise "
-                f"{texture.noise_hu:.0f} HU{'' if rows or made.kind == 'ground-glass' else ', without features'}",
+                f"{texture.noise_hu:.0f} HU{', without features' if made.kind == 'solid' and rows is None else ''}",
                 flush=True,
             )
     worst = max(abs(one - 1.0) for one in shares)

@@ -1,4 +1,4 @@
-"""``python -m carina_bench.printed_walls``: thickness of the printed airway wall, over phantoms and the bundled CT.
+"""``python -m carina_bench.printed_walls``: thickness and closure of the printed airway wall, over phantoms and a CT.
 
 Both thicknesses are exact distances from vertices of the printed mesh to its triangles: from the outer surface to the
 inner one, and from the inner surface to the outer one, where neighbouring airways share material and only the least
@@ -8,19 +8,22 @@ distance counts. Places near the cut end of the trachea are left out.
 from __future__ import annotations
 
 import argparse
+import tempfile
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
+import trimesh
 from numpy.typing import NDArray
 
 import carina
-from carina.export import PrintablePhantom, printable_phantom
+from carina.export import PrintablePhantom, printable_phantom, write_mesh
 from carina.export.printable_phantom import PrintedLumen
 from carina.phantom import generate_phantom
 from carina.track import Airways
 from carina.volume import Volume
 
-__all__ = ["WallThickness", "distances_to_triangles", "wall_thickness"]
+__all__ = ["WallThickness", "distances_to_triangles", "is_watertight", "wall_thickness"]
 
 Floats = NDArray[np.float64]
 END_MM = 25.0
@@ -57,6 +60,14 @@ def wall_thickness(
         other = triangles[(~side)[triangles].all(axis=1)]
         found.append(distances_to_triangles(vertices[places], vertices[other]))
     return WallThickness(found[0], found[1])
+
+
+def is_watertight(made: PrintablePhantom) -> bool:
+    """Return whether trimesh finds the STL of a phantom watertight, with consistent triangles and a positive volume."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = write_mesh(Path(folder) / "phantom.stl", made.mesh, contents="printable airway wall")
+        found = trimesh.load(path)
+    return bool(found.is_watertight and found.is_winding_consistent and found.volume > 0.0)
 
 
 def distances_to_triangles(points: Floats, corners: Floats, *, reach_mm: float = REACH_MM) -> Floats:
@@ -103,14 +114,18 @@ def main(arguments: list[str] | None = None) -> int:
               for seed in range(1, options.phantoms + 1)]  # fmt: skip
     for name, volume in cases:
         airways = carina.find_airways(volume, progress=False)
-        made = printable_phantom(volume, airways, wall_mm=options.wall_mm, names=False, build_mm=(500.0, 500.0, 500.0),
-                                 progress=False)  # fmt: skip
+        made, whole = (
+            printable_phantom(volume, airways, wall_mm=options.wall_mm, names=full, open_tips=full,
+                              build_mm=(500.0, 500.0, 500.0), progress=False)
+            for full in (False, True)
+        )  # fmt: skip
         found = wall_thickness(made, volume, airways, points=options.points)
         low, middle, high = np.quantile(found.outer, (0.005, 0.5, 0.995))
         print(
             f"{name:12} {len(made.mesh.triangles)} triangles; outer to inner surface: {found.outer.min():.2f} to "
             f"{found.outer.max():.2f} mm ({low:.2f}, {middle:.2f}, {high:.2f}), {_share(found.outer, options.wall_mm)} "
-            f"within 0.2 mm; inner to outer: least {found.inner.min():.2f} mm",
+            f"within 0.2 mm; inner to outer: least {found.inner.min():.2f} mm; watertight: "
+            f"{is_watertight(made)}, with names and open tips {is_watertight(whole)}",
             flush=True,
         )
     return 0

@@ -17,7 +17,7 @@ from carina.export.printable_mould import CLEARANCE_MM, MOULD_PARTS, PIN_LENGTH_
 from carina.export.printable_phantom import PrintedLumen
 from carina_bench.printed_walls import distances_to_triangles
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("shared_lumen")]
 WALL_MM = 2.0
 
 

@@ -14,7 +14,7 @@ from carina.export import printable_phantom, write_mesh
 from carina.export.printable_phantom import CUT_MM, EndCut, PrintablePhantom, PrintedLumen
 from carina_bench.printed_walls import distances_to_triangles, wall_thickness
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("shared_lumen")]
 WALL_MM = 2.0
 
 

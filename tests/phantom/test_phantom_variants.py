@@ -73,7 +73,10 @@ def test_truth_of_each_variant_has_its_origin():
     [
         pytest.param(
             one,
-            marks=pytest.mark.xfail(strict=True, reason="the names call RB8 a common stem RB7+8 if RB7 is absent"),
+            marks=pytest.mark.xfail(
+                strict=True,
+                reason="RB8 is called RB7+8 if RB7 is absent (evidence tried: measurements/airways.md)",
+            ),
         )
         if one == "absent-rb7"
         else one

@@ -33,7 +33,8 @@ The blur across thick slices widens the profile of an oblique edge in the slice.
 because the blur of large voxels is wider.
 """
 LEAST_EDGES = 40
-BIN_MM = 0.1
+BIN_MM, NEAR_EDGE_MM, EDGE_OFFSETS = 0.1, 3.5, 12
+"""Width in mm of the bins of an edge profile, largest distance from the edge, and number of edge positions."""
 SIGMAS_MM = np.arange(0.15, 2.01, 0.025)
 """Standard deviations in mm of the Gaussian blur among which the best is chosen."""
 GAINS = (0.0, 0.25, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0)
@@ -53,8 +54,6 @@ The noise of shoulders and spine differs from that at the lung.
 """
 TREND_MM = 9.0
 """Standard deviation in mm of the local mean that is subtracted from soft tissue: anatomy, not noise."""
-LOCAL_MM = 4.0
-"""Standard deviation in mm of the window in which the local deviation is measured."""
 LAG_MM = 6.0
 """Largest distance in mm of two voxels whose covariance is measured; beyond one half of it the covariance fades."""
 MOST_SPREAD = 4.0
@@ -145,11 +144,11 @@ def measured_texture(
             "each axis near the position; found fewer; choose a position nearer to the wall of the chest",
             code="insert.no-edges",
         )
-    in_plane = [_fit(*edge[:2], gains=GAINS) for edge in edges[:2]]
+    in_plane = [_fit(*edges[n], spacing_mm[n], gains=GAINS) for n in (0, 1)]
     gain = float(np.mean([one[1] for one in in_plane]))
-    across = _fit(*edges[2][:2], gains=(0.0,))
+    across = _fit(*edges[2], spacing_mm[2], gains=(0.0,))
     # The two axes of a slice have the same kernel; one gain is fitted to both.
-    sigma_i, sigma_j = (_fit(*edge[:2], gains=(gain,))[0] for edge in edges[:2])
+    sigma_i, sigma_j = (_fit(*edges[n], spacing_mm[n], gains=(gain,))[0] for n in (0, 1))
     counts = tuple(len(at) for at, _ in edges)
     return CtTexture(
         (sigma_i, sigma_j, across[0]), gain, noise_hu, covariance, (counts[0], counts[1], counts[2]), num_voxels
@@ -197,33 +196,61 @@ def _edge_profile(
     if len(runs) < LEAST_EDGES:
         return np.empty(0), np.empty(0)
     shares = (runs - lows[:, None]) / (highs - lows)[:, None]
+    at, shares = _registered(shares, step)
+    near = np.abs(at) <= NEAR_EDGE_MM
+    return at[near], shares[near]
+
+
+def _registered(shares: Floats, step: float) -> tuple[Floats, Floats]:
+    """Return the positions in mm of the samples of edges (n, m) from the edge itself, and the samples."""
     # The first crossing of one half from the last sample below it, by linear interpolation.
-    below = shares < 0.5
-    last = np.array([int(np.flatnonzero(row)[-1]) for row in below])
+    last = shares.shape[1] - 1 - np.argmax(shares[:, ::-1] < 0.5, axis=1)
     last = np.minimum(last, shares.shape[1] - 2)
     rows = np.arange(len(shares))
     a, b = shares[rows, last], shares[rows, last + 1]
     cross = last + (0.5 - a) / np.where(np.abs(b - a) < 1e-6, 1.0, b - a)
-    positions = (np.arange(shares.shape[1])[None] - cross[:, None]) * step
-    near = np.abs(positions) <= 3.5
-    return positions[near], shares[near]
+    return (np.arange(shares.shape[1])[None] - cross[:, None]) * step, shares
 
 
-def _fit(at: Floats, shares: Floats, *, gains: tuple[float, ...]) -> tuple[float, float]:
-    """Return the standard deviation (mm) and the gain of the blur whose edge fits the median profile best."""
-    bins = np.round(at / BIN_MM).astype(int)
-    places = np.unique(bins)
-    found = [(one, float(np.median(shares[bins == one]))) for one in places if np.count_nonzero(bins == one) >= 8]
-    x = np.array([one * BIN_MM for one, _ in found])
-    y = np.array([share for _, share in found])
+def _fit(at: Floats, shares: Floats, step: float, *, gains: tuple[float, ...]) -> tuple[float, float]:
+    """Return the standard deviation (mm) and the gain of the blur whose edge fits the median profile best.
+
+    Parameters
+    ----------
+    at, shares
+        (n,) positions in mm and values of all edges.
+    step
+        Distance of two voxels in mm.
+    gains
+        Gains among which the best is chosen.
+    """
+    places, y = _binned(at, shares)
     best = (np.inf, 0.0, 0.0)
     for gain in gains:
         for sigma in SIGMAS_MM:
-            off = float(np.square(edge_shares(x, float(sigma), gain) - y).mean())
+            # The position of an edge is found between its voxels; large voxels make the profile wider than the blur.
+            off = float(np.square(_sampled_edge(float(sigma), gain, step, places) - y).mean())
             # Without a visible overshoot, gain and width replace each other; the plain blur is then preferred.
             if off < best[0] * (1.0 if gain == best[2] else CLEARLY_BETTER):
                 best = (off, float(sigma), gain)
     return best[1], best[2]
+
+
+def _binned(at: Floats, shares: Floats) -> tuple[NDArray[np.int64], Floats]:
+    """Return the numbers of the bins of an edge profile, and the median value of each."""
+    bins = np.round(at / BIN_MM).astype(np.int64)
+    places = np.array([one for one in np.unique(bins) if np.count_nonzero(bins == one) >= 8])
+    return places, np.array([float(np.median(shares[bins == one])) for one in places])
+
+
+def _sampled_edge(sigma_mm: float, gain: float, step: float, places: NDArray[np.int64]) -> Floats:
+    """Return the profile, at the bins, of blurred edges whose positions are found between voxels."""
+    half = math.ceil((NEAR_EDGE_MM + step) / step)
+    offsets = (np.arange(EDGE_OFFSETS) + 0.5) / EDGE_OFFSETS - 0.5
+    exact = (np.arange(-half, half + 1)[None] + offsets[:, None]) * step
+    at, shares = _registered(edge_shares(exact, sigma_mm, gain), step)
+    order = np.argsort(at.reshape(-1))
+    return np.asarray(np.interp(BIN_MM * places, at.reshape(-1)[order], shares.reshape(-1)[order]))
 
 
 def edge_shares(x_mm: Floats, sigma_mm: float, gain: float) -> Floats:
@@ -239,15 +266,7 @@ def _covariance(values: Values, spacing_mm: tuple[float, float, float]) -> tuple
     """Return the covariance (2c+1, 2b+1, 2a+1) of two voxels of soft tissue by their distance, and the voxel count."""
     spacing_zyx = spacing_mm[::-1]
     mask = _soft_tissue(values, spacing_zyx)
-    lags = [max(1, math.floor(LAG_MM / one)) for one in spacing_zyx]
-    trend = _spread_in(spacing_zyx, TREND_MM)
-    weight = smoothed(mask.astype(np.float32), trend)
-    mean = smoothed(np.where(mask, values, np.float32(0.0)), trend) / np.maximum(weight, np.float32(1e-3))
-    rest = np.where(mask, values - mean, np.float32(0.0)).astype(np.float64)
-    if mask.any():
-        spread = 1.4826 * float(np.median(np.abs(rest[mask])))
-        mask &= np.abs(rest) <= MOST_SPREAD * max(spread, 1.0)
-        rest *= mask
+    rest, mask = _residual(values, mask, spacing_zyx)
     num = int(mask.sum())
     if num < LEAST_VOXELS:
         raise NoResultError(
@@ -255,25 +274,56 @@ def _covariance(values: Values, spacing_mm: tuple[float, float, float]) -> tuple
             f"the position; found {num}; choose another position",
             code="insert.no-noise",
         )
-    # Streaks and other places of strong noise would determine a mean of all; each place counts alike.
-    near = _spread_in(spacing_zyx, LOCAL_MM)
-    square = smoothed(np.square(rest).astype(np.float32), near)
-    local = np.sqrt(square / np.maximum(smoothed(mask.astype(np.float32), near), np.float32(1e-3)))
-    typical = float(np.median(local[mask]))
-    rest = np.where(mask, rest / np.maximum(local, 0.1 * typical), 0.0)
+    lags = [max(1, math.floor(LAG_MM / one)) for one in spacing_zyx]
     total, count = (np.zeros([2 * lag + 1 for lag in lags]) for _ in range(2))
     for first in range(0, len(values), SLAB):
         part = slice(first, first + SLAB)
         total += _pair_sums(rest[part], lags)
         count += _pair_sums(mask[part].astype(np.float64), lags)
     covariance = total / np.maximum(count, 1.0)
-    covariance *= typical**2 / max(float(covariance.max()), 1e-9)
     away = np.sqrt(sum((np.arange(-lag, lag + 1) * one).reshape([-1 if a == axis else 1 for a in range(3)]) ** 2
                        for axis, (lag, one) in enumerate(zip(lags, spacing_zyx, strict=True))))  # fmt: skip
     fade = np.clip((LAG_MM - away) / (0.5 * LAG_MM), 0.0, 1.0)
     # Far lags are few pairs, or what the local mean left of the anatomy.
     covariance *= 0.5 - 0.5 * np.cos(math.pi * fade)
-    return np.where(count >= 0.02 * num, covariance, 0.0), num
+    covariance = np.where(count >= 0.02 * num, covariance, 0.0)
+    return covariance * _scale(values, mask, covariance), num
+
+
+def _residual(
+    values: Values, mask: NDArray[np.bool_], spacing_zyx: tuple[float, ...]
+) -> tuple[Floats, NDArray[np.bool_]]:
+    """Return the differences of soft tissue from its local mean, and the mask without large differences."""
+    trend = _spread_in(spacing_zyx, TREND_MM)
+    weight = smoothed(mask.astype(np.float32), trend)
+    mean = smoothed(np.where(mask, values, np.float32(0.0)), trend) / np.maximum(weight, np.float32(1e-3))
+    rest = np.where(mask, values - mean, np.float32(0.0)).astype(np.float64)
+    if mask.any():
+        spread = 1.4826 * float(np.median(np.abs(rest[mask])))
+        mask = mask & (np.abs(rest) <= MOST_SPREAD * max(spread, 1.0))
+    return rest * mask, mask
+
+
+def _scale(values: Values, mask: NDArray[np.bool_], covariance: Floats) -> float:
+    """Return the factor that gives a covariance the differences between neighbours which most of the tissue has.
+
+    Differences of second order contain little of the anatomy, and a few structures or streaks do not change their
+    median. The factor is 1 for voxels so large that a covariance has too few distances.
+    """
+    middle = tuple(n // 2 for n in covariance.shape)
+    wanted = found = 0.0
+    for axis in (1, 2):
+        if covariance.shape[axis] < 5:
+            return 1.0
+        one, two = (float(covariance[tuple(m + n * (a == axis) for a, m in enumerate(middle))]) for n in (1, 2))
+        wanted += 6.0 * float(covariance[middle]) - 8.0 * one + 2.0 * two
+        own, inside = np.moveaxis(values, axis, -1), np.moveaxis(mask, axis, -1)
+        bends = own[..., 2:] - 2.0 * own[..., 1:-1] + own[..., :-2]
+        bends = bends[inside[..., 2:] & inside[..., 1:-1] & inside[..., :-2]]
+        if not len(bends):
+            return 1.0
+        found += (1.4826 * float(np.median(np.abs(bends)))) ** 2
+    return found / wanted if wanted > 0.0 and found > 0.0 else 1.0
 
 
 def _soft_tissue(values: Values, spacing_zyx: tuple[float, ...]) -> NDArray[np.bool_]:
