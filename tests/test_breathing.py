@@ -176,19 +176,58 @@ def test_tree_of_a_moved_chest_equals_that_found_in_the_deformed_ct_within_a_vox
     assert moved.named("Trachea").length_mm == pytest.approx(airways.tree.named("Trachea").length_mm * 0.95, rel=0.01)
 
 
-def test_scope_touches_the_moved_wall_where_the_deformed_mesh_has_it():
+def test_scope_is_not_driven_in_a_deformed_wall():
+    volume, airways = central_airways()
+    moved = carina.wall_field(volume, airways).deformed(EXHALED)
+    with pytest.raises(UsageError, match="deformed wall") as caught:
+        carina.ScopeDrive(moved, "standard", EXHALED.points(airways.tree.root.points))
+    assert caught.value.code == "scope.wall"
+
+
+def test_scope_that_the_tissue_carries_touches_the_wall_where_the_deformed_mesh_has_it():
     volume, airways = central_airways()
     wall = carina.wall_field(volume, airways)
-    moved = wall.deformed(EXHALED)
-    trachea = airways.tree.root.points
-    drive = carina.ScopeDrive(moved, "standard", EXHALED.points(trachea))
+    drive = carina.ScopeDrive(wall, "standard", airways.tree.root.points)
     for _ in range(40):
         state = drive.drive(drive.state.insertion_mm + 2.0, 0.0, 1.2, 0.1)
         if state.contact is not None:
             break
     assert state.contact is not None
-    at_rest = EXHALED.rest_points(state.contact.point_lps)
-    assert abs(float(wall.distance_mm(at_rest)[0])) < SPACING_MM
+    tip_mm = drive.scope.tip_mm
+    assert carina.scopes.scope_in_moved_patient(state, wall, ChestDeformation(np.eye(4)), tip_mm) is state
+    moved = carina.scopes.scope_in_moved_patient(state, wall, EXHALED, tip_mm)
+    assert moved.contact is not None
+    assert np.array_equal(moved.pose.lps_from_camera, state.pose.carried_by(EXHALED).lps_from_camera)
+    mesh = lumen_mesh(volume, airways)
+    true = carina.WallField.from_mesh(EXHALED.points(mesh.vertices_lps), mesh.triangles)
+    assert abs(float(true.distance_mm(moved.contact.point_lps)[0])) < SPACING_MM
+    at_rest = abs(float(wall.distance_mm(state.contact.point_lps)[0]))
+    assert abs(float(wall.deformed(EXHALED).distance_mm(moved.contact.point_lps)[0])) <= at_rest + 1e-6
+
+
+def test_cough_touches_a_tip_that_has_space_at_rest():
+    volume, airways = central_airways()
+    wall = carina.wall_field(volume, airways)
+    drive = carina.ScopeDrive(wall, "standard", airways.tree.root.points)
+    tip_mm = drive.scope.tip_mm
+    state = drive.drive(drive.entry_mm + 40.0, 0.0, 0.0, 0.1)
+    assert state.contact is None
+    # The tip is moved beside the middle of the trachea, 0.4 mm from a contact.
+    pose = state.pose.lps_from_camera.copy()
+    reach = np.arange(0.0, 12.0, 0.05)
+    space = wall.ball_mm(pose[:3, 3] + reach[:, None] * pose[:3, 0])
+    pose[:3, 3] += reach[int(np.argmax(space < tip_mm / 2.0 + 0.4))] * pose[:3, 0]
+    beside = dataclasses.replace(state, pose=carina.Pose(pose))
+    chest = ChestFrame.of_tree(airways.tree)
+    cough = Breathing(craniocaudal_mm=0.0, anteroposterior_mm=0.0, coughs_s=(1.0,)).at(1.25, chest)
+    touched = carina.scopes.scope_in_moved_patient(beside, wall, cough, tip_mm)
+    assert touched.contact is not None
+    assert 0.0 < touched.contact.depth_mm < 3.0
+    assert abs(float(wall.deformed(cough).distance_mm(touched.contact.point_lps)[0])) < 0.5
+    # The wall that the tip touches is on its right, so the normal points to the left.
+    assert float(np.dot(touched.contact.normal_lps, pose[:3, 0])) < -0.8
+    quiet = Breathing().at(0.9, chest)
+    assert carina.scopes.scope_in_moved_patient(beside, wall, quiet, tip_mm).contact is None
 
 
 def test_breathing_moves_the_bases_by_its_amplitude_and_the_inlet_not_at_all():

@@ -4,7 +4,9 @@ Each class flies once on each case (phantoms by seed, and the bundled CT); the s
 score ranks two classes with the probability that the better class has the better value, over all pairs of their
 flights; equal values count half. ``GAPS`` names the pairs that the literature separates by each score, and its source
 (`docs/training.md`); other pairs are printed and not judged. The independent scorer of the tests scores the recordings
-of the first ten cases, 50 in all.
+of the first ten cases, 50 in all. ``--json FILE`` stores each case when it is finished; the same command then continues
+after the last stored case. ``--first`` selects another part of the cases, so that several processes share them;
+``--summarise FILE ...`` prints the ranking of their files.
 
 The drivers are scripts, not people: their speeds, pauses and mistakes are assumptions of this file.
 """
@@ -16,7 +18,7 @@ import io
 import json
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -24,6 +26,7 @@ from typing import Any
 import numpy as np
 
 import carina
+from carina.disk import write_whole
 from carina.navigate.recording import read_recording
 from carina.phantom import generate_phantom
 from carina.scopes import WallField
@@ -110,9 +113,9 @@ class TrainingCase:
         return tuple(self.parts)
 
 
-def cases(num: int) -> Iterator[TrainingCase]:
-    """Yield the bundled CT, then phantoms with the seeds 1, 2, ...; airways are those that Carina finds."""
-    for seed in range(num):
+def cases(seeds: Iterable[int]) -> Iterator[TrainingCase]:
+    """Yield the cases of seeds: the bundled CT for 0, else a phantom; airways are those that Carina finds."""
+    for seed in seeds:
         if seed == 0:
             volume, name = carina.demo_patient(), "bundled CT"
         else:
@@ -124,7 +127,8 @@ def cases(num: int) -> Iterator[TrainingCase]:
             one.name: tuple(str(airways.tree.branch(number).name) for number in one.branch_ids)
             for one in segments_of_case(airways.tree)
         }
-        _scripts()[1].forget_cases()
+        for script in _scripts():
+            script.forget_cases()
         yield TrainingCase(name, seed, volume, airways.tree, wall, parts)
 
 
@@ -208,6 +212,8 @@ def _at_the_wall(pose: np.ndarray, wall: WallField) -> np.ndarray:
     return moved
 
 
+HUMAN_MM_S = 20.0
+"""Speed in mm/s of the slow optimal drive: 18 segments in about the time of the robot of the BronchoBot study."""
 CLASSES: dict[str, tuple[Callable[[Any, TrainingCase, np.random.Generator], None], dict[str, float]]] = {
     "optimal": (_optimal, {"speed_mm_s": 60.0, "hold_s": 1.2}),
     "experienced": (_experienced, {"speed_mm_s": 30.0, "hold_s": 2.5}),
@@ -217,12 +223,13 @@ CLASSES: dict[str, tuple[Callable[[Any, TrainingCase, np.random.Generator], None
 """Drivers with speed and duration of a hold; the fifth class moves at random."""
 
 
-def flown(case: TrainingCase, driver: str) -> str:
-    """Return the text of the recording of a driver's flight on a case."""
+def flown(case: TrainingCase, driver: str, *, speed_mm_s: float | None = None) -> str:
+    """Return the text of the recording of a driver's flight on a case, at the driver's speed or another one."""
     scripts, _ = _scripts()
     if driver == "random":
         return str(scripts.recording_text(scripts.random_flight(case.tree, 100 + case.seed), case.volume))
     drive, options = CLASSES[driver]
+    options = options if speed_mm_s is None else options | {"speed_mm_s": speed_mm_s}
     script = scripts.Script(case.tree, **options)
     script.start(min(40.0, 0.5 * case.tree.root.length_mm))
     drive(script, case, np.random.default_rng([case.seed, *driver.encode()]))
@@ -261,49 +268,119 @@ def probability(better: list[float], worse: list[float], *, more_is_better: bool
     return float(ahead.mean())
 
 
+@dataclass(frozen=True, slots=True)
+class _Flight:
+    """Result of one flight."""
+
+    case: str
+    driver: str
+    values: dict[str, float]
+    seen: int
+    num_segments: int
+    steps: int
+    time_s: float
+    num_contacts: int
+    doubts: tuple[str, ...]
+    agrees: str | None
+    """Empty if the independent scorer agrees, else the first difference; None if it was not run."""
+
+    def line(self) -> str:
+        """Return the result as a line of text."""
+        same = "not compared" if self.agrees is None else self.agrees or "equal"
+        return (
+            f"{self.case:12} {self.driver:12} DC {self.seen:2} of {self.num_segments:2}  SP {self.steps:2}  PT "
+            f"{self.time_s:5.0f} s  contacts {self.num_contacts:3}  doubts {','.join(self.doubts) or '-'}  "
+            f"independent scorer: {same}"
+        )
+
+    @property
+    def is_mastery(self) -> bool:
+        """Whether the flight has 18 segments in order, under 120 s, without a doubt."""
+        whole = self.seen == self.steps == len(SEGMENTS)
+        return whole and self.time_s < MAX_OPTIMAL_S and not self.doubts
+
+
+SLOW = "slow optimal"
+"""Name of the optimal drive at a human speed, which is not ranked."""
+
+
+def _flights(case: TrainingCase, *, compares: bool) -> Iterator[_Flight]:
+    """Fly and score all classes on a case."""
+    task = find_task("inspect-all")
+    for driver in (*CLASSES, "random", SLOW):
+        text = flown(case, "optimal", speed_mm_s=HUMAN_MM_S) if driver == SLOW else flown(case, driver)
+        score = score_flight(
+            case.tree, case.wall, flight_frames(read_recording(io.StringIO(text), Path("flight"))), task
+        )
+        yield _Flight(
+            case.name,
+            driver,
+            values_of(score),
+            score.diagnostic_completeness,
+            score.num_case_segments,
+            score.structured_progress,
+            score.procedure_time_s,
+            len(score.contacts),
+            tuple(one.code for one in score.doubts),
+            agreement(text, case, score) if compares and driver != SLOW else None,
+        )
+
+
+def _stored(file: Path | None) -> dict[str, list[_Flight]]:
+    """Return the flights of each case that a file contains, by the case's seed."""
+    if file is None or not file.exists():
+        return {}
+    document = json.loads(file.read_text(encoding="utf-8"))["cases"]
+    return {
+        seed: [_Flight(**{**one, "doubts": tuple(one["doubts"])}) for one in flights]
+        for seed, flights in document.items()
+    }
+
+
 def main(arguments: list[str] | None = None) -> int:
     """Fly and score all classes on all cases, print each flight as it ends, and print the ranking."""
     parser = argparse.ArgumentParser(prog="python -m carina_bench.training", description=__doc__)
-    parser.add_argument("--cases", type=int, default=20, help="number of cases: the bundled CT and phantoms by seed")
+    parser.add_argument("--first", type=int, default=0, help="number of the first case: 0 is the bundled CT")
+    parser.add_argument("--cases", type=int, default=20, help="number of cases")
     parser.add_argument(
-        "--compare", type=int, default=10, help="number of cases, of five recordings each, for the independent scorer"
+        "--compare", type=int, default=10, help="number of the case from which the independent scorer is not run"
     )
-    parser.add_argument("--json", type=Path, default=None, help="file for all values")
+    parser.add_argument("--json", type=Path, default=None, help="file that stores each finished case")
+    parser.add_argument("--summarise", type=Path, nargs="+", default=None, help="files whose ranking is printed")
     options = parser.parse_args(arguments)
-    task = find_task("inspect-all")
-    rows: dict[str, list[dict[str, float]]] = {name: [] for name in (*CLASSES, "random")}
-    optimal: list[bool] = []
-    compared, differing = 0, 0
-    for number, case in enumerate(cases(options.cases)):
-        for driver, found in rows.items():
-            began = time.process_time()
-            text = flown(case, driver)
-            score = score_flight(
-                case.tree, case.wall, flight_frames(read_recording(io.StringIO(text), Path("flight"))), task
-            )
-            found.append(values_of(score))
-            same = "not compared"
-            if number < options.compare:
-                problem = agreement(text, case, score)
-                compared, differing = compared + 1, differing + bool(problem)
-                same = problem or "equal"
-            print(
-                f"{case.name:12} {driver:12} DC {score.diagnostic_completeness:2} of {score.num_case_segments:2}  SP "
-                f"{score.structured_progress:2}  PT {score.procedure_time_s:5.0f} s  SR {score.segments_revisited:2}  "
-                f"contacts {len(score.contacts):3}  doubts {','.join(one.code for one in score.doubts) or '-'}  "
-                f"independent scorer: {same}  ({time.process_time() - began:.1f} s of processor time)",
-                flush=True,
-            )
-            if driver == "optimal":
-                whole = score.diagnostic_completeness == score.structured_progress == len(SEGMENTS)
-                optimal.append(whole and score.procedure_time_s < MAX_OPTIMAL_S and not score.doubts)
-        if options.json is not None:
-            # A long run that is stopped leaves the cases that it has finished.
-            document = {"flights": rows, "ranks": _ranks(rows), "gaps": [asdict(one) for one in GAPS]}
-            options.json.write_text(json.dumps(document, indent=1), encoding="utf-8")
-    print(f"\noptimal drive: 18 of 18 in order, under {MAX_OPTIMAL_S:.0f} s, without doubt: {sum(optimal)} of "
-          f"{len(optimal)} cases")  # fmt: skip
-    print(f"recordings scored equally by both scorers: {compared - differing} of {compared}")
+    found: dict[str, list[_Flight]] = {}
+    for file in options.summarise or [options.json]:
+        found |= _stored(file)
+    if options.summarise is None:
+        seeds = [n for n in range(options.first, options.first + options.cases) if str(n) not in found]
+        for case in cases(seeds):
+            began_s, flights = time.process_time(), []
+            for flight in _flights(case, compares=case.seed < options.compare):
+                print(flight.line(), flush=True)
+                flights.append(flight)
+            print(f"{case.name:12} {time.process_time() - began_s:.0f} s of processor time", flush=True)
+            found[str(case.seed)] = flights
+            if options.json is not None:
+                text = json.dumps({"cases": {seed: [asdict(one) for one in made] for seed, made in found.items()}})
+                write_whole(options.json, text.encode("utf-8"), what="the flights")
+    _print_summary([one for flights in found.values() for one in flights])
+    return 0
+
+
+def _print_summary(flights: list[_Flight]) -> None:
+    """Print how many optimal drives are mastery procedures, on how many both scorers agree, and the ranking."""
+    rows = {name: [one.values for one in flights if one.driver == name] for name in (*CLASSES, "random")}
+    for driver, speed_mm_s in (("optimal", CLASSES["optimal"][1]["speed_mm_s"]), (SLOW, HUMAN_MM_S)):
+        own = [one for one in flights if one.driver == driver]
+        passed = [one for one in own if one.is_mastery]
+        print(
+            f"{driver} drive at {speed_mm_s:.0f} mm/s: 18 of 18 in order, under {MAX_OPTIMAL_S:.0f} s, without doubt: "
+            f"{len(passed)} of {len(own)} cases; time {min((one.time_s for one in passed), default=0.0):.0f} to "
+            f"{max((one.time_s for one in passed), default=0.0):.0f} s, wall contacts "
+            f"{sum(one.num_contacts for one in passed)}"
+        )
+    compared = [one for one in flights if one.agrees is not None]
+    print(f"recordings scored equally by both scorers: {sum(not one.agrees for one in compared)} of {len(compared)}")
     ranks = _ranks(rows)
     for one in ranks:
         print(
@@ -317,7 +394,6 @@ def main(arguments: list[str] | None = None) -> int:
             [one[name] for one in rows[better]], [one[name] for one in rows[worse]], more_is_better=more[name]
         )
         print(f"not judged: {name} {better} before {worse} {chance:.3f}  ({reason})")
-    return 0
 
 
 def _ranks(rows: dict[str, list[dict[str, float]]]) -> list[dict[str, Any]]:

@@ -24,7 +24,7 @@ from carina.argument_checks import (
 from carina.display import one_line
 from carina.errors import GeometryError, UsageError
 
-__all__ = ["Breathing", "ChestDeformation", "ChestFrame"]
+__all__ = ["Breathing", "ChestDeformation", "ChestFrame", "ChestMotion"]
 
 Points = NDArray[np.float64]
 
@@ -36,6 +36,8 @@ COUGH_SHIFT_MM = 10.0
 """Shift of the lung bases towards the head in a cough, mm: the carina moves by half of it."""
 EXHALED_POWER = 4
 """Exponent of the cosine over time; with 4, the chest is near expiration for half of a period."""
+MAX_BREATHING_S = 86_400.0
+"""Longest time of a breathing, s; a chest that has breathed for longer rests in its last state."""
 LEAST_HEIGHT_MM = 60.0
 """Smallest height of a tree of airways whose breathing can be simulated, mm."""
 
@@ -248,6 +250,22 @@ class Breathing:
         )
         object.__setattr__(self, "coughs_s", tuple(sorted(float(v) for v in self.coughs_s)))
 
+    @classmethod
+    @check_arguments(movement_mm=number_from(0.0, 40.0, unit="mm"), period_s=number_from(1.0, 20.0, unit="s"))
+    def of_movement(cls, movement_mm: float, period_s: float) -> Breathing:
+        """Return breathing with a shift of the lung bases towards the head, in mm, and a period, in s.
+
+        The shift to the back has its published ratio to the shift towards the head.
+
+        Examples
+        --------
+        >>> Breathing.of_movement(18.0, 5.0).anteroposterior_mm
+        3.0
+        """
+        usual = cls()
+        back_mm = movement_mm * usual.anteroposterior_mm / usual.craniocaudal_mm
+        return cls(craniocaudal_mm=movement_mm, anteroposterior_mm=back_mm, period_s=period_s)
+
     @check_arguments(time_s=bounded(86_400.0, unit="s"))
     def expiration(self, time_s: float) -> float:
         """Return the state of breath at a time: 0 at the end of an inspiration, 1 at that of an expiration."""
@@ -326,3 +344,68 @@ class Breathing:
         if self.coughs_s:
             parts.append("cough")
         return " and ".join(parts)
+
+
+@one_line
+@dataclass(frozen=True, slots=True)
+class ChestMotion:
+    """Breathing of a patient with a known chest on a clock; the tissue round the tip carries the tip along.
+
+    Examples
+    --------
+    >>> motion = ChestMotion(Breathing(), ChestFrame(110.0, -130.0), began_s=2.0)
+    >>> motion.at(2.0).is_rest, motion.at(3.8).is_rest
+    (True, False)
+    >>> ChestMotion.from_json(motion.to_json()) == motion
+    True
+    """
+
+    breathing: Breathing
+    chest: ChestFrame
+    began_s: float = 0.0
+    """Time of the clock at which the time of the breathing is 0, s."""
+
+    def __post_init__(self) -> None:
+        """Raise an error if a field has an invalid value."""
+        check_fields(
+            self,
+            breathing=instance(Breathing, "create a carina.breathing.Breathing"),
+            chest=instance(ChestFrame, "use ChestFrame.of_tree"),
+            began_s=bounded(1e9, unit="s"),
+        )
+
+    def at(self, clock_s: float) -> ChestDeformation:
+        """Return the deformation at a time of the clock, s; before its beginning the chest is at rest."""
+        return self.breathing.at(min(max(clock_s - self.began_s, 0.0), MAX_BREATHING_S), self.chest)
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the motion as a JSON object, from which :meth:`from_json` restores it exactly."""
+        chest = self.chest
+        return {
+            "breathing": self.breathing.to_json(),
+            "top_z_mm": chest.top_z_mm,
+            "base_z_mm": chest.base_z_mm,
+            "axis_x_mm": chest.axis_x_mm,
+            "axis_y_mm": chest.axis_y_mm,
+            "began_s": self.began_s,
+        }
+
+    @classmethod
+    def from_json(cls, document: Any) -> ChestMotion:
+        """Return the motion of a JSON object.
+
+        Raises
+        ------
+        UsageError
+            If a field is missing, unknown or out of range.
+        GeometryError
+            If the heights do not describe a chest.
+        """
+        names = {"breathing", "top_z_mm", "base_z_mm", "axis_x_mm", "axis_y_mm", "began_s"}
+        if not isinstance(document, dict) or set(document) != names:
+            raise UsageError(
+                f"breathing: expected an object with the fields {', '.join(sorted(names))}; found {document!r}",
+                code="breathing.document",
+            )
+        places = {name: document[name] for name in names - {"breathing", "began_s"}}
+        return cls(Breathing.from_json(document["breathing"]), ChestFrame(**places), document["began_s"])

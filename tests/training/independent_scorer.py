@@ -117,6 +117,13 @@ class Judge:
         angle = np.degrees(np.arccos(np.clip(rays[:, 2], -1.0, 1.0)))
         in_picture = angle <= limit + 1e-6
         self.rays, self.pixels = rays[in_picture], np.array(pixels)[in_picture]
+        lines = [(branch, *spaced(branch, 1.0)) for branch in tree.branches]
+        self.line = np.concatenate([line for _, line, _ in lines])
+        self.radii = np.concatenate([radii for _, _, radii in lines])
+        self.line_places = [
+            (branch, branch.length_mm * n / (len(line) - 1)) for branch, line, _ in lines for n in range(len(line))
+        ]
+        """Points of all centrelines, their radii, and the branch and the position along it of each."""
         self.names, self.disks, self.owners = [], [], []
         """Segments of the case; their openings; and the segment of each opening."""
         for name in ORDER:
@@ -147,13 +154,7 @@ class Judge:
             which = np.flatnonzero(met)
             if len(which) < 0.01 * self.total:
                 continue
-            clear = np.ones(len(which), dtype=bool)
-            at_mm = 0.0
-            while at_mm <= far[which].max() - 1.0:
-                going = at_mm <= far[which] - 1.0
-                if going.any():
-                    clear[going] &= self.wall.distance_mm(eye + at_mm * rays[which[going]]) > 0.0
-                at_mm += 0.5
+            clear = self.reaches(eye, rays[which], far[which])
             if clear.sum() >= 0.01 * self.total and self.visible_area(disk, pose) >= 0.5:
                 middle = self.pixels[which[clear]].mean(axis=0) - 32.0
                 found[number] = math.hypot(*middle) / 32.0
@@ -174,13 +175,17 @@ class Judge:
         rays = (points - eye) / far[:, None]
         limit = math.radians(min(self.requested_deg, self.fov_deg) / 2.0)
         good = np.arccos(np.clip(rays @ forward, -1.0, 1.0)) <= limit
-        at_mm = 0.0
-        while at_mm <= far.max() - 1.0:
-            going = good & (at_mm <= far - 1.0)
-            if going.any():
-                good[going] &= self.wall.distance_mm(eye + at_mm * rays[going]) > 0.0
-            at_mm += 0.5
+        good[good] = self.reaches(eye, rays[good], far[good])
         return float(good.mean())
+
+    def reaches(self, eye: np.ndarray, rays: np.ndarray, far: np.ndarray) -> np.ndarray:
+        """Return whether each line of sight is in the lumen at its points 0.5 mm apart, up to 1 mm before its end."""
+        if len(rays) == 0:
+            return np.ones(0, dtype=bool)
+        at_mm = 0.5 * np.arange(max(0, math.floor((far.max() - 1.0) / 0.5)) + 1)
+        points = eye + at_mm[:, None, None] * rays
+        lumen = self.wall.distance_mm(points.reshape(-1, 3)).reshape(len(at_mm), len(rays)) > 0.0
+        return (lumen | (at_mm[:, None] > far - 1.0)).all(axis=0)
 
     def opening_passed(self, tip: np.ndarray, branch: Any) -> int:
         """Return the number of the opening behind which the tip is, or -1."""
@@ -196,14 +201,9 @@ class Judge:
 
     def place(self, tip: np.ndarray) -> tuple[Any, float]:
         """Return the branch of a point, and the position along it, mm."""
-        best = (math.inf, None, 0.0)
-        for branch in self.tree.branches:
-            line, radii = spaced(branch, 1.0)
-            gaps = np.linalg.norm(line - tip, axis=1) - radii
-            n = int(np.argmin(gaps))
-            if gaps[n] < best[0]:
-                best = (float(gaps[n]), branch, branch.length_mm * n / (len(line) - 1))
-        return best[1], best[2]
+        n = int(np.argmin(np.linalg.norm(self.line - tip, axis=1) - self.radii))
+        branch, along_mm = self.line_places[n]
+        return branch, along_mm
 
     def lumen_is_in_middle(self, pose: np.ndarray, branch: Any, along_mm: float) -> bool:
         """Return whether a centreline 10 mm ahead is within a quarter of the field of view."""

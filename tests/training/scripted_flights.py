@@ -15,9 +15,9 @@ from carina.commands import PlacePose
 from carina.navigate import Navigator, Pilot, Recorder, Recording, case_key
 from carina.navigate.recording import read_recording
 from carina.scopes import Pose
-from carina.track import AirwayTree
+from carina.track import AirwayTree, Branch
 from carina.training import SEGMENTS
-from carina.training.openings_in_sight import branch_openings
+from carina.training.openings_in_sight import BranchOpening, branch_openings
 from carina.training.segments import branches_named
 from carina.volume import Volume
 
@@ -98,18 +98,24 @@ class Script:
     def wait(self, seconds: float) -> None:
         self.poses += [self.poses[-1].copy() for _ in range(round(seconds / STEP_S))]
 
+    def opening_of(self, name: str) -> tuple[Branch, BranchOpening]:
+        """Return the branch of a name and its opening, which is computed once for each tree."""
+        (branch,) = branches_named(self.tree, name)
+        known = _OPENINGS.setdefault(id(self.tree), (self.tree, {}))[1]
+        if name not in known:
+            (known[name],) = branch_openings(self.tree, [branch.id])
+        return branch, known[name]
+
     def inspect(self, name: str, *, back_mm: float = 8.0) -> None:
         """Go before the opening of a segment and hold it in the middle of the picture."""
-        (branch,) = branches_named(self.tree, name)
-        (opening,) = branch_openings(self.tree, [branch.id])
+        branch, opening = self.opening_of(name)
         # Twigs divide a bronchus; the position counts from the root.
         self.go(branch.parent, max(self.fork_mm(branch.id) - back_mm, 0.0))
         self.look_at(opening.middle_lps, self.hold_s)
 
     def enter(self, name: str, *, depth_mm: float = 8.0) -> None:
         """Drive into a segment, and hold the view there for a time."""
-        (branch,) = branches_named(self.tree, name)
-        (opening,) = branch_openings(self.tree, [branch.id])
+        branch, opening = self.opening_of(name)
         past_mm = float(np.linalg.norm(opening.middle_lps - branch.points[0])) + depth_mm
         self.go(branch.id, self.fork_mm(branch.id) + min(past_mm, branch.length_mm))
         self.wait(self.hold_s)
@@ -194,7 +200,15 @@ def recording_of(
     )
 
 
-_KEYS: dict[int, dict[str, Any]] = {}
+_KEYS: dict[int, tuple[Volume, dict[str, Any]]] = {}
+_OPENINGS: dict[int, tuple[AirwayTree, dict[str, BranchOpening]]] = {}
+"""Keys of volumes and openings of trees by identity; each entry holds its object, whose identity is then not reused."""
+
+
+def forget_cases() -> None:
+    """Empty the caches, which hold volumes and trees."""
+    _KEYS.clear()
+    _OPENINGS.clear()
 
 
 def recording_text(
@@ -210,7 +224,9 @@ def recording_text(
     file = io.StringIO()
     file.close = lambda: None  # type: ignore[method-assign]
     pilot = Pilot(Navigator(Pose(poses[0])))
-    case = _KEYS.setdefault(id(volume), case_key(volume))
+    if id(volume) not in _KEYS:
+        _KEYS[id(volume)] = volume, case_key(volume)
+    case = _KEYS[id(volume)][1]
     recorder = Recorder(pilot, file, case=case, carina="0", now_s=0.0, view=VIEW if view is None else view)
     for n, pose in enumerate(poses[1:], start=1):
         recorder.tick(n * step_s if times_s is None else times_s[n - 1])

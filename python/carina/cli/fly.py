@@ -6,14 +6,14 @@ import hashlib
 import json
 import time
 from collections.abc import Callable
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 import carina
-from carina.breathing import Breathing, ChestFrame
+from carina.breathing import Breathing, ChestFrame, ChestMotion
 from carina.case.routes import ChosenRoute
 from carina.cli.along import check_destination, print_drawn_parts, route_to
 from carina.cli.arguments import check_needs, check_output_file, check_range
@@ -26,7 +26,7 @@ from carina.cluster import ClusterRenderer, render_frames
 from carina.config import load_settings
 from carina.errors import NoResultError, UsageError
 from carina.export import VIDEO_SUFFIXES, VideoWriter
-from carina.export.flight_film import ChestMotion, FrameOptions, distinct_images, write_frames
+from carina.export.flight_film import FrameOptions, distinct_images, write_frames
 from carina.export.video import even_size, size_notes
 from carina.navigate import AutoFlight, KeyFrameFile, KeyFrameFlight, open_key_frames
 from carina.navigate.recording import ReplayedPose, case_key, sampled
@@ -207,18 +207,16 @@ def parse_breathing(text: str, cough_s: str | None = None) -> Breathing:
         except ValueError:
             raise UsageError(f"{option}: expected {expected}; found {given!r}") from None
 
-    values: dict[str, Any] = {}
+    found = Breathing()
     if text != "quiet":
         expected = "quiet, or the amplitude in mm and the period in s, such as 12,3.6"
-        found = numbers("--breathing", text, expected)
-        if len(found) != 2:
+        given = numbers("--breathing", text, expected)
+        if len(given) != 2:
             raise UsageError(f"--breathing: expected {expected}; found {text!r}")
-        values = {"craniocaudal_mm": found[0], "period_s": found[1]}
-        # The other amplitude has its published ratio to the first.
-        values["anteroposterior_mm"] = found[0] * Breathing().anteroposterior_mm / Breathing().craniocaudal_mm
-    if cough_s is not None:
-        values["coughs_s"] = tuple(numbers("--cough", cough_s, "times in s, separated by commas"))
-    return Breathing(**values)
+        found = Breathing.of_movement(*given)
+    if cough_s is None:
+        return found
+    return replace(found, coughs_s=tuple(numbers("--cough", cough_s, "times in s, separated by commas")))
 
 
 def _captions(
@@ -259,10 +257,9 @@ def _job_digest(volume: Volume, frames: list[ReplayedPose], shown: FrameOptions,
     settings = load_settings()
     facts = [case_key(volume), carina.__version__, shown.size, shown.scope, shown.step_vox, settings.backend, mixed]
     digest.update(json.dumps(facts).encode())
-    if shown.motion is not None:
-        digest.update(json.dumps([shown.motion.breathing.to_json(), asdict(shown.motion.chest)]).encode())
     for frame in frames:
-        digest.update(json.dumps(frame.time_s).encode() if shown.motion is not None else b"")
+        motion = shown.motion_of(frame)
+        digest.update(b"" if motion is None else json.dumps([motion.to_json(), frame.time_s]).encode())
         digest.update(np.ascontiguousarray(frame.pose.lps_from_camera, "<f8").tobytes())
         digest.update(json.dumps([frame.view, frame.picture_turned], sort_keys=True).encode())
     return digest.hexdigest()

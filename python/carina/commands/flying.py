@@ -72,6 +72,23 @@ class ResetLook(Command, frozen=True):
     """Turn the view back to the direction of the path."""
 
 
+class SetBreathing(Command, frozen=True):
+    """Switch the simulated breathing of the airway view on or off, or change it; not a step of undo.
+
+    Positions, slices and radiographs remain those in the CT at rest.
+    """
+
+    on: bool
+    movement_mm: Annotated[float, Meta(ge=0.0, le=40.0)] = 12.0
+    """Movement of the lung bases in mm; 0 shows the CT as it is."""
+    period_s: Annotated[float, Meta(ge=1.0, le=20.0)] = 3.6
+    """Duration of one breath in s."""
+
+
+class Cough(Command, frozen=True):
+    """Let the patient cough once, now, while the simulated breathing is on."""
+
+
 class SetOperator(Command, frozen=True):
     """Set the position of the operator: at the patient's head, or facing the patient."""
 

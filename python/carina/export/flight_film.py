@@ -13,7 +13,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from carina.breathing import MOVED_TEXT, Breathing, ChestFrame
+from carina.breathing import MOVED_TEXT, ChestMotion
 from carina.display.dot_letters import with_text_lines
 from carina.errors import CancelledError, UsageError
 from carina.export.video import VideoWriter
@@ -37,15 +37,11 @@ class FrameOptions:
     """Instrument of frames whose view has none; None for a pinhole camera of 90 degrees."""
     step_vox: float
     motion: ChestMotion | None = None
-    """Breathing of the patient; None shows the CT as it is."""
+    """Breathing of the patient; None shows that of the recording, or the CT as it is."""
 
-
-@dataclass(frozen=True, slots=True)
-class ChestMotion:
-    """Breathing of a patient with a known chest during a flight; the tissue round the tip carries the tip along."""
-
-    breathing: Breathing
-    chest: ChestFrame
+    def motion_of(self, frame: ReplayedPose) -> ChestMotion | None:
+        """Return the breathing of the patient in a frame; None if the frame shows the CT as it is."""
+        return frame.motion if self.motion is None else self.motion
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -109,7 +105,7 @@ def distinct_images(frames: Sequence[ReplayedPose], options: FrameOptions) -> tu
     last: tuple[int, int] | None = None
     for frame in frames:
         same = (id(frame.pose), id(frame.view))
-        if same == last and options.motion is None:
+        if same == last and options.motion_of(frame) is None:
             times_shown[-1] += 1
             continue
         last = same
@@ -123,8 +119,9 @@ def frame_view(frame: ReplayedPose, options: FrameOptions) -> AirwayView:
     view = frame.view
     settings: dict[str, Any] = {"width": options.size[0], "height": options.size[1], "step_vox": options.step_vox}
     settings |= {name: view[name] for name in ("shading", "texture", "fov_deg") if name in view}
-    if options.motion is not None:
-        deformation = options.motion.breathing.at(frame.time_s, options.motion.chest)
+    motion = options.motion_of(frame)
+    if motion is not None:
+        deformation = motion.at(frame.time_s)
         frame = replace(frame, pose=frame.pose.carried_by(deformation))
         settings["deformation"] = deformation
     scope = view.get("scope", options.scope)
@@ -190,9 +187,10 @@ def write_frames(
         for _ in range(times_shown[number]):
             if cancel is not None and cancel():
                 raise CancelledError("stopped while rendering the video")
-            lines = () if captions is None else tuple(captions(frames[video.num_frames], video.duration_s))
+            frame = frames[video.num_frames]
+            lines = () if captions is None else tuple(captions(frame, video.duration_s))
             lines = lines if mark is None else (mark, *lines)
-            lines = lines if options.motion is None else (MOVED_TEXT, *lines)
+            lines = lines if options.motion_of(frame) is None else (MOVED_TEXT, *lines)
             video.add(with_text_lines(rgb, lines) if lines else rgb)
         if progress is not None:
             progress("rendering frames", video.num_frames / len(frames))

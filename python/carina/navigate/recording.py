@@ -1,8 +1,9 @@
 """Recordings of a session's flight: every move that the pilot applied, its time, and the resulting pose.
 
-A recording is a text file with one JSON value per line: a header, then one line for each move, each changed pose and
-each change of the views, then an end. Poses serve for comparison: a replay applies the moves to a new pilot with its
-gate, filter and mapping.
+A recording is a text file with one JSON value per line: a header, then one line for each move, each changed pose, each
+change of the views and of the simulated breathing, then an end. Poses serve for comparison: a replay applies the moves
+to a new pilot with its gate, filter and mapping. All poses are those in the CT at rest; a simulated breathing carries
+them along (`carina.scopes.Pose.carried_by`).
 """
 
 from __future__ import annotations
@@ -12,16 +13,17 @@ import hashlib
 import io
 import json
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal, TextIO
 
 import numpy as np
 from numpy.typing import NDArray
 
+from carina.breathing import ChestMotion
 from carina.disk import open_regular_text
 from carina.display import one_line
-from carina.errors import VolumeImportError
+from carina.errors import CarinaError, VolumeImportError
 from carina.navigate import moves as m
 from carina.navigate.navigator import Navigator
 from carina.navigate.pilot import Pilot
@@ -67,6 +69,8 @@ class Recorder:
         Time at the start, of the clock of the moves.
     view
         Display settings of the airway view, as JSON values.
+    motion
+        Simulated breathing on the clock of the moves; None without breathing.
     on_end
         Function that is called once if the file cannot be written any more; the recording then ends, the flight
         continues.
@@ -86,6 +90,7 @@ class Recorder:
         carina: str,
         now_s: float,
         view: dict[str, Any],
+        motion: ChestMotion | None = None,
         on_end: Callable[[OSError], None] | None = None,
     ) -> None:
         self._pilot, self._file, self._began_s = pilot, file, now_s
@@ -94,6 +99,7 @@ class Recorder:
         """Error that ended the recording before it was closed, or None."""
         self._pose: Pose | None = None
         self._view: dict[str, Any] = {}
+        self._breathing: dict[str, Any] | None = None
         self._at_s = now_s
         self._paused_s: float | None = None
         self._in_task = False
@@ -110,6 +116,7 @@ class Recorder:
             }
         )
         self.note_view(view, now_s)
+        self.note_breathing(motion, now_s)
         if self.trouble is None:
             try:
                 # Flush now, so that a full disk is reported at the start.
@@ -136,6 +143,17 @@ class Recorder:
         if view != self._view:
             self._view = view
             self._write({"t": self._time(now_s), "view": view})
+
+    def note_breathing(self, motion: ChestMotion | None, now_s: float) -> None:
+        """Record a change of the simulated breathing, on the clock of the moves; None ends it.
+
+        The recording states the breathing on its own clock, which pauses exclude; the breathing must pause with it.
+        """
+        began_s = 0.0 if motion is None else round(motion.began_s - self._began_s, 6)
+        breathing = None if motion is None else replace(motion, began_s=began_s).to_json()
+        if breathing != self._breathing:
+            self._breathing = breathing
+            self._write({"t": self._time(now_s), "breathing": breathing})
 
     def note_task(self, task: dict[str, Any], now_s: float, learner: str | None = None) -> None:
         """Record the beginning of an attempt at a task of the training.
@@ -237,13 +255,15 @@ class Recorder:
 
 @dataclass(frozen=True, slots=True)
 class ReplayedPose:
-    """Pose of a replay at one time: seconds from the start, pose, and display settings of the view."""
+    """Pose of a replay at one time: seconds from the start, pose in the CT at rest, and settings of the view."""
 
     time_s: float
     pose: Pose
     view: dict[str, Any]
     picture_turned: bool = False
     """See :attr:`carina.navigate.Navigator.picture_turned`."""
+    motion: ChestMotion | None = None
+    """Simulated breathing on the clock of the recording; None without breathing."""
 
 
 @one_line
@@ -328,6 +348,14 @@ class Recording:
         return tuple((at_s, lengths[n] if n < len(lengths) else 0.0) for n, at_s in enumerate(begun))
 
     @property
+    def motions(self) -> tuple[tuple[float, ChestMotion | None], ...]:
+        """Changes of the simulated breathing: time of the change in s, and breathing on the recording's clock.
+
+        A recording without breathing has none.
+        """
+        return tuple((float(line["t"]), _motion(line)) for line in self.lines if "breathing" in line)
+
+    @property
     def needs_wall(self) -> bool:
         """Whether the recording contains a scope in the lumen, whose replay needs the wall."""
         return any(line.get("move", {}).get("move") == "SetScope" for line in self.lines)
@@ -382,12 +410,16 @@ class Recording:
                 pilot.apply(move, dt_s=dt_s)
             pilot.navigator.restore(self.header["tip"], pilot.navigator.path)
             view: dict[str, Any] = {}
+            motion: ChestMotion | None = None
             tip = pilot.navigator
             yield ReplayedPose(0.0, tip.pose, view), True
             for line in self.lines:
                 if "view" in line:
                     view = dict(line["view"])
-                    yield ReplayedPose(float(line["t"]), tip.pose, view, tip.picture_turned), True
+                    yield ReplayedPose(float(line["t"]), tip.pose, view, tip.picture_turned, motion), True
+                elif "breathing" in line:
+                    motion = _motion(line)
+                    yield ReplayedPose(float(line["t"]), tip.pose, view, tip.picture_turned, motion), True
                 elif "move" in line:
                     if line["move"].get("move") == "SetScope" and wall is not None and not isinstance(wall, WallField):
                         pilot.wall = wall(dict(line.get("wall") or {}))
@@ -395,7 +427,7 @@ class Recording:
                     pilot.apply(move, dt_s=dt_s)
                     if "pose" in line:
                         same = tip.pose.lps_from_camera.ravel().tolist() == line["pose"]
-                        yield ReplayedPose(float(line["t"]), tip.pose, view, tip.picture_turned), same
+                        yield ReplayedPose(float(line["t"]), tip.pose, view, tip.picture_turned, motion), same
         except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
             raise VolumeImportError(f"the recording cannot be replayed: {error}", code="navigate.recording") from error
 
@@ -461,12 +493,22 @@ def read_recording(file: io.TextIOBase | TextIO, place: Path) -> Recording:
             )
         if "paused" in line and not _is_pause(line):
             raise _unusable_recording_error(place, f"line {len(lines) + 2} contains an invalid pause")
+        if "breathing" in line:
+            try:
+                _motion(line)
+            except CarinaError as error:
+                raise _unusable_recording_error(place, f"line {len(lines) + 2}: {error}") from error
         last_s = float(at_s)
         lines.append(line)
         if "end" in line:
             complete = True
             break
     return Recording(header, tuple(lines), complete)
+
+
+def _motion(line: dict[str, Any]) -> ChestMotion | None:
+    """Return the breathing of a line that states one; None if the line ends the breathing."""
+    return None if line["breathing"] is None else ChestMotion.from_json(line["breathing"])
 
 
 def _is_pause(line: dict[str, Any]) -> bool:
@@ -489,7 +531,10 @@ def _unusable_recording_error(place: Path, why: str) -> VolumeImportError:
 
 
 def sampled(moments: list[ReplayedPose], times_s: NDArray[np.float64]) -> list[ReplayedPose]:
-    """Return the pose that a replay displayed at each time: the latest pose that is not later than the time."""
+    """Return the pose that a replay displayed at each time: the latest pose that is not later than the time.
+
+    The results have the given times, because the breathing moves the chest also while the tip rests.
+    """
     known = np.array([moment.time_s for moment in moments])
     places = np.maximum(np.searchsorted(known, times_s, side="right") - 1, 0)
-    return [moments[int(n)] for n in places]
+    return [replace(moments[int(n)], time_s=float(time_s)) for n, time_s in zip(places, times_s, strict=True)]

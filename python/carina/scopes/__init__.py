@@ -15,6 +15,7 @@ from carina.scopes.lens import (
     Outline,
 )
 from carina.scopes.library import DEFAULT_SCOPE, FIT_MARGIN_MM, ScopePreset, scope_preset, scope_presets
+from carina.scopes.moved_scope import scope_in_moved_patient
 from carina.scopes.path_frames import PathFrames
 from carina.scopes.pose import Pose, upright
 from carina.scopes.wall_field import WallField
@@ -47,6 +48,7 @@ __all__ = [
     "lens_from_file",
     "lens_from_text",
     "lever_flexion",
+    "scope_in_moved_patient",
     "scope_preset",
     "scope_presets",
     "upright",

@@ -148,7 +148,8 @@ class ScopeDrive:
     Raises
     ------
     UsageError
-        If the path is too narrow for the scope, or has no direction (code ``scope.drive``).
+        If the path is too narrow for the scope, or has no direction (code ``scope.drive``). If the wall is that of a
+        moved patient (code ``scope.wall``).
 
     Examples
     --------
@@ -182,6 +183,14 @@ class ScopeDrive:
         cords_mm: float | None = None,
     ) -> None:
         _check_operator(operator)
+        if field.core.is_deformed:
+            # The search for a contact steps by the distance, which after a deformation may exceed the true distance, so
+            # that the scope could pass through a thin wall without a contact.
+            raise UsageError(
+                "ScopeDrive: expected the wall of the CT at rest; found a deformed wall, by whose distances contacts "
+                "can be missed. Drive in the wall at rest, and move the poses with Pose.carried_by",
+                code="scope.wall",
+            )
         if cords_mm is not None and not math.isfinite(cords_mm):
             raise UsageError(
                 f"expected the position of the vocal cords as a number in mm; found {cords_mm}", code="scope.drive"

@@ -17,6 +17,7 @@ from carina.session.scene.shown_case import SessionRenderer, ShownCase
 from carina.session.session import Session
 from carina.session.state.snapshot import (
     Changed,
+    ChestMoved,
     ErrorEvent,
     EvidenceMissing,
     FlightInfo,
@@ -55,6 +56,7 @@ __all__ = [
     "CaseRecords",
     "CaseScans",
     "Changed",
+    "ChestMoved",
     "ChosenRoute",
     "ClassLearner",
     "CourseInfo",

@@ -24,12 +24,14 @@ from carina.render import Sight
 from carina.session.engines import Parts, RendererFactory, default_parts
 from carina.session.jobs.background_jobs import JobEnded, JobProgress, JobRunner
 from carina.session.jobs.job_groups import current_group
-from carina.session.open_case.open_case import LastMove, OpenCase, pose_info
+from carina.session.open_case.open_case import LastMove, OpenCase, pose_info, shown_deformation
 from carina.session.scene.picture_state import PictureState
 from carina.session.scene.shown_case import ShownCase
 from carina.session.scene.window_views import following_tip
 from carina.session.state.snapshot import (
+    BreathingInfo,
     Changed,
+    ChestMoved,
     ErrorEvent,
     EvidenceMissing,
     FlightInfo,
@@ -64,7 +66,15 @@ def flight_list(case: OpenCase, saving: SavingInfo) -> tuple[FlightInfo, ...]:
     )
 
 
-Event = Changed | ErrorEvent | EvidenceMissing | UserMessage | StartMarked | JobProgress | JobEnded
+def breathing_info(case: OpenCase) -> BreathingInfo:
+    """Return the settings of the simulated breathing; the caller holds the session's lock."""
+    airways, breathing = case.document.airways, case.flights.breathing.breathing
+    if breathing is None or airways is None or case.flights.breathing.motion(airways.tree) is None:
+        return BreathingInfo()
+    return BreathingInfo(True, breathing.craniocaudal_mm, breathing.period_s)
+
+
+Event = Changed | ChestMoved | ErrorEvent | EvidenceMissing | UserMessage | StartMarked | JobProgress | JobEnded
 # Longest time in s between two moves that is counted as contact with the wall.
 MAX_CONTACT_S = 10.0
 WATCHING = "session.watching"
@@ -131,6 +141,8 @@ class SessionCore:
         """Functions called with the session locked, after the update of tip and renderer to a changed document."""
         self.after_case: list[Callable[[], None]] = []
         """Functions called with the session locked when the open case is discarded; they release what belongs to it."""
+        self.after_breathing: list[Callable[[OpenCase], None]] = []
+        """Functions called with the session locked after a change of the simulated breathing."""
         self.after_sight: list[Callable[[OpenCase], None]] = []
         """Functions called with the session locked after a change of the sight."""
         self._pose_id = 0
@@ -427,12 +439,13 @@ class SessionCore:
                 mask_question=None if case.pending_mask is None else case.pending_mask.question,
                 saving=(saving := self.saving()),
                 flights=flight_list(case, saving),
+                breathing=breathing_info(case),
             )
 
     def pose_info(self) -> PoseInfo | None:
         """Return the newest pose and its position in the airways; None without a case."""
         with self.lock:
-            return None if self.case is None else pose_info(self.case, self._pose_id)
+            return None if self.case is None else pose_info(self.case, self._pose_id, self.clock())
 
     def scene(self, window: int | None = None) -> ShownCase | None:
         """Return the scene that a window's views show, for its render thread; None without a case."""
@@ -457,6 +470,7 @@ class SessionCore:
                 picture_turned=case.navigator.picture_turned,
                 lumen=case.outline,
                 layers=case.planning.lungs.shown(),
+                deformation=shown_deformation(case, self.clock()),
             )
 
     def picture_state(self, window: int | None = None) -> PictureState:

@@ -23,6 +23,7 @@ from carina.session.cases.second_ct import SecondCtHandlers
 from carina.session.command_registry import handlers_of
 from carina.session.core import Event, SessionCore
 from carina.session.engines import Parts, RendererFactory
+from carina.session.flights.breathing import BreathingHandlers
 from carina.session.flights.devices import DeviceHandlers
 from carina.session.flights.film_flights import FilmHandlers
 from carina.session.flights.key_frames import KeyFrameHandlers
@@ -131,12 +132,13 @@ class Session:
             planning.follow, training.follow, quizzes.follow,
         ]  # fmt: skip
         core.after_sight += [recording.note_view]
+        core.after_breathing += [recording.note_breathing, training.note_breathing]
         core.after_case += [training.discard, quizzes.discard]
-        looking = LookHandlers(core)
+        looking, self._breathing = LookHandlers(core), BreathingHandlers(core)
         subjects = (
             opening, TipHandlers(core, holding), looking, RouteHandlers(core), planning, TargetHandlers(core),
             SecondCtHandlers(core, self._saving),
-            finding, editing, keys, recording,
+            finding, editing, keys, recording, self._breathing,
             FlightHandlers(core, self._saving.flight_text), FilmHandlers(core, self._saving.flight_text),
             training, quizzes, self._course, ExpertHandlers(core, training, drives), drives,
             self._devices, holding, self._saving, self._cases, CaseQuestions(core),
@@ -292,6 +294,7 @@ class Session:
         lost work.
         """
         self._recording.stop()
+        self._breathing.close()
         self._course.close()
         self._saving.close(within_s)
         self._core.close()

@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import hashlib
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from carina.breathing import ChestDeformation, ChestMotion
 from carina.display import one_line
 from carina.errors import NoResultError
 from carina.navigate import Recording
-from carina.scopes import DEFAULT_SCOPE, Pose, ScopePreset, scope_preset
+from carina.scopes import DEFAULT_SCOPE, Pose, ScopePreset, WallField, scope_preset
 
 FRAME_HZ = 10.0
 """Rate in Hz of the frames on which all scores are computed."""
@@ -57,7 +59,7 @@ class FlightFrames:
     """Frames of a flight: frame k is at k / :data:`FRAME_HZ` s and shows the latest pose that is not later."""
 
     lps_from_tip: Poses = field(repr=False)
-    """(n, 4, 4) pose of the tip at each frame, mm."""
+    """(n, 4, 4) pose of the tip at each frame, in the CT at rest, mm; a simulated breathing carries it along."""
     pose_number: NDArray[np.int64] = field(repr=False)
     """(n,) number of the recorded pose of each frame; consecutive frames with one number show the same pose."""
     optics_number: NDArray[np.int64] = field(repr=False)
@@ -71,11 +73,39 @@ class FlightFrames:
     """(m,) time of each recorded pose from the start of the recording, s."""
     pauses: tuple[tuple[float, float], ...] = ()
     """Pauses: time from the start of the recording, which excludes pauses, and length, both in s."""
+    motions: tuple[tuple[float, ChestMotion | None], ...] = ()
+    """Changes of the simulated breathing (`carina.navigate.Recording.motions`); empty without breathing."""
 
     @property
     def times_s(self) -> NDArray[np.float64]:
         """(n,) time of each frame from the start of the recording, s."""
         return np.arange(len(self.lps_from_tip)) / FRAME_HZ
+
+    def deformation(self, n: int) -> ChestDeformation | None:
+        """Return the deformation of the chest at a frame; None if the chest is at rest."""
+        time_s = n / FRAME_HZ
+        motion = next((one for at_s, one in reversed(self.motions) if at_s <= time_s + 1e-9), None)
+        found = None if motion is None else motion.at(time_s)
+        return None if found is None or found.is_rest else found
+
+    def deformations(self) -> Iterator[tuple[int, ChestDeformation]]:
+        """Yield the frames in which the chest is not at rest, with its deformation."""
+        for n in range(len(self.lps_from_tip) if self.motions else 0):
+            found = self.deformation(n)
+            if found is not None:
+                yield n, found
+
+    def tips_to_wall_mm(self, wall: WallField, *, ball: bool = False) -> NDArray[np.float64]:
+        """Return the distance (n,) in mm from the tip to the wall at each frame, in the moved patient.
+
+        ``ball`` selects the radius of the largest ball that fits (`WallField.ball_mm`), else `WallField.distance_mm`.
+        """
+        at = self.lps_from_tip[:, :3, 3]
+        found = wall.ball_mm(at) if ball else wall.distance_mm(at)
+        for n, deformation in self.deformations():
+            moved, point = wall.deformed(deformation), deformation.points(at[n])
+            found[n] = (moved.ball_mm(point) if ball else moved.distance_mm(point))[0]
+        return found
 
     def pose_digest(self) -> str:
         """Return a digest of all recorded poses."""
@@ -90,8 +120,15 @@ class FlightFrames:
         return len(own) > 1 and len(own & other) > REPEATED_SHARE * len(own)
 
     def cameras(self) -> Poses:
-        """Return the poses (n, 4, 4) of the camera, which differ from the tip's for a forward-oblique instrument."""
+        """Return the poses (n, 4, 4) of the camera in the moved patient.
+
+        They differ from the tip's for a forward-oblique instrument, and with a simulated breathing.
+        """
         found = self.lps_from_tip
+        if self.motions:
+            found = found.copy()
+            for n, deformation in self.deformations():
+                found[n] = Pose(found[n]).carried_by(deformation).lps_from_camera
         if all(one.scope.view_up_deg == 0.0 for one in self.optics):
             return found
         found = found.copy()
@@ -131,7 +168,17 @@ def flight_frames(recording: Recording) -> FlightFrames:
     # An attempt at a task counts only if it reached its end; see `carina.navigate.recording.TaskOutcome`.
     ended = recording.task is None or recording.task_outcome in {"completed", "stopped", "time-limit"}
     complete = recording.complete and ended
-    return FlightFrames(poses[numbers], numbers, view_numbers, optics, complete, poses, pose_times_s, recording.pauses)
+    return FlightFrames(
+        poses[numbers],
+        numbers,
+        view_numbers,
+        optics,
+        complete,
+        poses,
+        pose_times_s,
+        recording.pauses,
+        recording.motions,
+    )
 
 
 def latest_before(known_s: NDArray[np.float64], times_s: NDArray[np.float64]) -> NDArray[np.int64]:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from carina.display import one_line
 from carina.plan.turns.fork_view import hours_of, whole_hour
-from carina.scopes import WallField
+from carina.scopes import Pose, WallField
 from carina.track import AirwayTree
 from carina.training.flight_frames import FRAME_HZ, FlightFrames
 from carina.training.openings_in_sight import MAX_RED_OUT, red_out
@@ -135,8 +135,9 @@ def tip_places(frames: FlightFrames, index: CentrelineIndex, known: TipPlaces | 
     for n, camera in enumerate(frames.cameras()[begin:], start=begin):
         fov_rad = np.radians(frames.optics[frames.optics_number[n]].scope.usual_fov_deg)
         least = np.cos(MIDDLE_SHARE * fov_rad)
+        deformation = frames.deformation(n)
         for point in index.ahead(int(ids[n]), float(along[n]), AHEAD_MM):
-            way = point - camera[:3, 3]
+            way = (point if deformation is None else deformation.points(point)[0]) - camera[:3, 3]
             size = float(np.linalg.norm(way))
             # Beyond the end of the last branch the direction ahead is unknown.
             if size >= 1.0 and float(way @ camera[:3, 2]) >= least * size:
@@ -150,12 +151,12 @@ def wall_contacts(
     """Return the contacts of the tip with the wall, and whether the view is lost by red-out at each frame (n,).
 
     The tip touches where the largest ball around the middle of its face that fits into the lumen is at most
-    :data:`TOUCH_MM` larger than the tip.
+    :data:`TOUCH_MM` larger than the tip. With a simulated breathing, this holds in the moved patient.
     """
     at = frames.lps_from_tip[:, :3, 3]
     tip_mm = np.array([one.scope.tip_mm / 2.0 for one in frames.optics])[frames.optics_number]
-    red = red_out(wall.distance_mm(at), tip_mm) >= MAX_RED_OUT
-    touches = wall.ball_mm(at) <= tip_mm + TOUCH_MM
+    red = red_out(frames.tips_to_wall_mm(wall), tip_mm) >= MAX_RED_OUT
+    touches = frames.tips_to_wall_mm(wall, ball=True) <= tip_mm + TOUCH_MM
     touches[:first] = touches[last + 1 :] = False
     contacts: list[WallContact] = []
     gap = int(CONTACT_GAP_S * FRAME_HZ)
@@ -167,7 +168,12 @@ def wall_contacts(
             )
             continue
         place = (float(at[n, 0]), float(at[n, 1]), float(at[n, 2]))
-        hour = _hour_of_wall(frames.lps_from_tip[n], wall)
+        deformation = frames.deformation(int(n))
+        if deformation is None:
+            hour = _hour_of_wall(frames.lps_from_tip[n], wall)
+        else:
+            moved = Pose(frames.lps_from_tip[n]).carried_by(deformation)
+            hour = _hour_of_wall(moved.lps_from_camera, wall.deformed(deformation))
         contacts.append(WallContact(int(n), int(n), place, int(places.branch_ids[n]), hour))
     return contacts, red
 

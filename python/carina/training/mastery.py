@@ -124,7 +124,8 @@ def judge_mastery(scores: Sequence[Score]) -> Mastery:
     An attempt does not count if its score has doubts, if no segment was seen or the tip did not move, if its task is
     not an inspection of all segments under the standard conditions, if the case lacks one of the 18 segments, or if
     its poses repeat those of an earlier attempt (a replay, at any speed). The standard conditions are Carina's: the
-    clock starts below the cords, a return breaks the sequence, no hints, and an instrument instead of a free camera.
+    clock starts below the cords, a return breaks the sequence, no hints, an instrument instead of a free camera, and no
+    simulated breathing.
 
     Parameters
     ----------
@@ -161,6 +162,7 @@ def _other_conditions(score: Score) -> list[str]:
         "a return to a segment is ignored": task.revisit_rule != "breaks",
         f"the task gives hints ({', '.join(task.hints)})": bool(task.hints),
         "the flight used a camera without an instrument": True in used,
+        "the patient breathed (simulated breathing)": any(one is not None for _, one in frames.motions),
     }
     return [text for text, differs in differing.items() if differs]
 

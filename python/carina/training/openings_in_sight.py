@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from carina.breathing import ChestDeformation
 from carina.display import one_line
 from carina.plan.turns.opening_walls import ForkWalls
 from carina.scopes import Optics, ScopePreset, WallField
@@ -105,7 +106,7 @@ def red_out(wall_mm: Points, tip_radius_mm: Points | float) -> Points:
 def clear_views(frames: FlightFrames, wall: WallField) -> NDArray[np.bool_]:
     """Return (n,) whether the red-out is below :data:`MAX_RED_OUT` at each frame."""
     tip_mm = np.array([one.scope.tip_mm / 2.0 for one in frames.optics])[frames.optics_number]
-    clear: NDArray[np.bool_] = red_out(wall.distance_mm(frames.lps_from_tip[:, :3, 3]), tip_mm) < MAX_RED_OUT
+    clear: NDArray[np.bool_] = red_out(frames.tips_to_wall_mm(wall), tip_mm) < MAX_RED_OUT
     return clear
 
 
@@ -152,23 +153,48 @@ def openings_in_sight(
             continue
         optics = frames.optics[frames.optics_number[n]]
         rays, places, total, lens = _picture(optics.scope, optics.counted_fov_deg)
-        camera = cameras[n]
+        camera = shown_in = cameras[n]
+        deformation = frames.deformation(n)
+        if deformation is not None:
+            rays, camera, shown_in = _at_rest(rays, camera, deformation)
         to_middles = middles - camera[:3, 3]
         ahead = (to_middles * directions).sum(axis=1) > 0.0
         for k in np.flatnonzero(ahead).tolist():
             found = _visible_pixels(openings[k], camera, rays, wall, least=MIN_PICTURE_SHARE * total)
             if found is None:
                 continue
-            if _visible_share(openings[k], camera, lens, optics.counted_fov_deg, wall) >= MIN_CLEAR_SHARE:
+            if _visible_share(openings[k], shown_in, lens, optics.counted_fov_deg, wall) >= MIN_CLEAR_SHARE:
                 in_sight[n, k] = True
                 off_middle[n, k] = float(np.linalg.norm(places[found].mean(axis=0)))
     return OpeningSights(in_sight, off_middle)
 
 
 def _same(frames: FlightFrames, n: int) -> bool:
+    """Return whether a frame shows the same picture as the frame before."""
     return bool(
-        frames.pose_number[n] == frames.pose_number[n - 1] and frames.optics_number[n] == frames.optics_number[n - 1]
+        not frames.motions
+        and frames.pose_number[n] == frames.pose_number[n - 1]
+        and frames.optics_number[n] == frames.optics_number[n - 1]
     )
+
+
+def _at_rest(rays: Points, camera: Points, deformation: ChestDeformation) -> tuple[Points, Points, Points]:
+    """Return rays, camera and axes of a picture of the moved patient in the CT at rest, where openings and wall are.
+
+    The map is affine, so a line of sight remains a line, and what it meets remains the same.
+
+    Returns
+    -------
+    tuple
+        The rays (m, 3) as unit vectors, LPS; the camera (4, 4) at rest, with the axes of LPS; and the camera (4, 4)
+        whose axes map a row vector at rest to camera space of the picture, up to its length.
+    """
+    stretch = deformation.lps_from_rest[:3, :3]
+    ways = rays @ np.linalg.solve(stretch, camera[:3, :3]).T
+    seen_from, shown_in = np.eye(4), np.eye(4)
+    seen_from[:3, 3] = shown_in[:3, 3] = deformation.rest_points(camera[:3, 3])[0]
+    shown_in[:3, :3] = stretch.T @ camera[:3, :3]
+    return ways / np.linalg.norm(ways, axis=1)[:, None], seen_from, shown_in
 
 
 def _visible_pixels(
@@ -196,12 +222,16 @@ def _visible_pixels(
 
 
 def _visible_share(opening: BranchOpening, camera: Points, lens: Optics, fov_deg: float, wall: WallField) -> float:
-    """Return the share of an opening's area that is in the picture and that the wall does not hide."""
-    eye, lps_from_camera = camera[:3, 3], camera[:3, :3]
+    """Return the share of an opening's area that is in the picture and that the wall does not hide.
+
+    The axes of ``camera`` need not be unit vectors.
+    """
+    eye = camera[:3, 3]
     ways = opening.middle_lps + opening.radius_mm * _spiral() @ _disk_axes(opening.dir_lps) - eye
     depth = np.linalg.norm(ways, axis=1)
     rays = ways / np.maximum(depth, 1e-9)[:, None]
-    in_camera = rays @ lps_from_camera
+    in_camera = rays @ camera[:3, :3]
+    in_camera /= np.maximum(np.linalg.norm(in_camera, axis=1), 1e-9)[:, None]
     with np.errstate(invalid="ignore"):
         off = np.linalg.norm(lens.pixels_of(in_camera) - PICTURE_PX / 2, axis=1)
         shown = (off <= PICTURE_PX / 2) & (in_camera[:, 2] >= np.cos(np.radians(fov_deg / 2.0)) - 1e-9)

@@ -524,6 +524,8 @@ def _flight_notes(frames: FlightFrames, task: Task) -> tuple[str, ...]:
                 f"the recorded picture was {one.fov_deg:.0f} degrees wide; only the {one.scope.usual_fov_deg:.0f} "
                 f"degrees of the instrument {one.scope.name} count"
             )
+    breaths = [one.breathing.words for _, one in frames.motions if one is not None]
+    found += [f"{words}; positions and movements of the tip are those in the CT at rest" for words in breaths]
     if task.scope is None and any(one.is_free_camera for one in used):
         found.append("the flight used a camera without an instrument; the size of the generic scope counts")
     return tuple(dict.fromkeys(found))

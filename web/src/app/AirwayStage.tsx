@@ -32,6 +32,7 @@ import { clipPathOf, shapeOf } from "../views/outline";
 import type { HeldScope, QuizInfo, StateMessage } from "../wire/messages";
 import { LEAD_VIEW } from "../wire/views";
 import { Announcer } from "./Announcer";
+import { BreathingLabel, BreathingMenu } from "./BreathingControls";
 import { useApp, useStation } from "./context";
 import { Act, Choice, SwitchKey, Tip, useKeysBack } from "./controls";
 import { FlightPad } from "./FlightPad";
@@ -74,6 +75,7 @@ export function AirwayStage() {
             )}
             <FinderLabel />
             <EmptyLabel />
+            <BreathingLabel />
           </>
         ) : (
           <p className="empty centre">The view from the scope tip appears here once the CT has loaded.</p>
@@ -279,6 +281,7 @@ function AirwayTools() {
           onChange={() => station.send({ type: "set_texture", on: !texture })}
         />
       )}
+      <BreathingMenu />
       <SwitchKey
         icon="routeLine"
         short="Route line"

@@ -35,6 +35,7 @@ const EMPTY: StateMessage = {
   airways_from: null,
   badges: [],
   mask_question: null,
+  breathing: { on: false, movement_mm: 12, period_s: 3.6 },
   saving: { ...NOTHING_SAVED, keeps: false },
 };
 

@@ -55,6 +55,20 @@ describe("planar pictures", () => {
 describe("camera pictures", () => {
   const identity = [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1];
 
+  it("A point is where the moved patient has it, if a breathing makes the matrix affine.", () => {
+    // The patient is compressed to 80 % along z; the camera of the moved patient looks along -z from (0, 0, 80).
+    const camera = [1, 0, 0, 0, 0, -1, 0, 0, 0, 0, -1, 80, 0, 0, 0, 1];
+    const restFromCamera = [1, 0, 0, 0, 0, -1, 0, 0, 0, 0, -1 / 0.8, 100, 0, 0, 0, 1];
+    const moved = geometryOf({ ...none, lps_from_camera: restFromCamera, fov_deg: 90, breathes: true });
+    const still = geometryOf({ ...none, lps_from_camera: camera, fov_deg: 90 });
+    if (moved === null || still === null) throw new Error("a camera gives a geometry");
+    const seen = pixelFromLps(moved, [7, -3, 50]);
+    const expected = pixelFromLps(still, [7, -3, 40]);
+    expect(seen?.column).toBeCloseTo(expected?.column ?? 0, 9);
+    expect(seen?.row).toBeCloseTo(expected?.row ?? 0, 9);
+    expect(seen?.depthMm).toBeCloseTo(40, 9);
+  });
+
   it("The viewing direction is in the middle, and half the field of view at the edge of the shorter side.", () => {
     const geometry = geometryOf({ ...none, lps_from_camera: identity, fov_deg: 90 });
     if (geometry === null) throw new Error("a camera gives a geometry");

@@ -52,6 +52,8 @@ export interface Placed {
   lps_from_camera: readonly number[] | null;
   fov_deg: number | null;
   lens: PictureLens | null;
+  /** Whether the picture shows a simulated breathing; `lps_from_camera` is then affine and not rigid. */
+  breathes?: boolean;
 }
 
 /**
@@ -71,7 +73,7 @@ export function geometryOf(picture: Placed): Geometry | null {
     const focalPx = (0.5 * Math.min(picture.width, picture.height)) / Math.tan((picture.fov_deg * Math.PI) / 360);
     return {
       kind: "seen",
-      camera: cameraFromMatrix(picture.lps_from_camera),
+      camera: picture.breathes ? dualCamera(picture.lps_from_camera) : cameraFromMatrix(picture.lps_from_camera),
       focalPx,
       lens: picture.lens,
       width: picture.width,
@@ -79,6 +81,21 @@ export function geometryOf(picture: Placed): Geometry | null {
     };
   }
   return null;
+}
+
+/**
+ * Return the camera of an affine matrix: the products of its axes with an offset from its position are the coordinates of
+ * the offset in camera space.
+ */
+function dualCamera(lpsFromCamera: readonly number[]): Camera {
+  const { right, down, forward, position } = cameraFromMatrix(lpsFromCamera);
+  const volume = dot(right, cross(down, forward));
+  return {
+    right: scale(cross(down, forward), 1 / volume),
+    down: scale(cross(forward, right), 1 / volume),
+    forward: scale(cross(right, down), 1 / volume),
+    position,
+  };
 }
 
 /** Return the patient point (LPS mm) of a pixel in a planar picture. */

@@ -391,6 +391,21 @@ export interface ResetLookMessage {
   readonly type: "reset_look";
 }
 
+/** Switch the simulated breathing of the airway view on or off, or change it; not a step of undo.
+
+    Positions, slices and radiographs remain those in the CT at rest. */
+export interface SetBreathingMessage {
+  readonly type: "set_breathing";
+  readonly on: boolean;
+  readonly movement_mm?: number;
+  readonly period_s?: number;
+}
+
+/** Let the patient cough once, now, while the simulated breathing is on. */
+export interface CoughMessage {
+  readonly type: "cough";
+}
+
 /** Set the position of the operator: at the patient's head, or facing the patient. */
 export interface SetOperatorMessage {
   readonly type: "set_operator";
@@ -1758,6 +1773,13 @@ export interface SavingInfo {
   readonly continued_changes: number;
 }
 
+/** Settings of the simulated breathing. */
+export interface BreathingInfo {
+  readonly on: boolean;
+  readonly movement_mm: number;
+  readonly period_s: number;
+}
+
 /** State of the session, except for pose, tree, route and the other parts that have their own messages. */
 export interface StateMessage {
   readonly type: "state";
@@ -1782,6 +1804,7 @@ export interface StateMessage {
   readonly mask_question: MaskQuestion | null;
   readonly badges: readonly CaseNote[];
   readonly saving: SavingInfo;
+  readonly breathing: BreathingInfo;
 }
 
 /** A step of the undo history. */
@@ -2578,6 +2601,7 @@ export interface PictureHeader {
   readonly render_ms: number;
   readonly method: string;
   readonly layers?: readonly PictureLayer[];
+  readonly breathes?: boolean;
 }
 
 /** Initial value of `look`. */
@@ -2683,6 +2707,8 @@ export type ClientMessage =
   | ShowPlaceMessage
   | LevelHorizonMessage
   | ResetLookMessage
+  | SetBreathingMessage
+  | CoughMessage
   | SetOperatorMessage
   | EditKeyFramesMessage
   | SetKeyFrameFlightMessage

@@ -7,15 +7,16 @@ import logging
 import threading
 from collections import deque
 from collections.abc import Callable, Hashable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, cast
 
 import numpy as np
 import simplejpeg
 from numpy.typing import NDArray
 
+from carina.breathing import ChestDeformation
 from carina.errors import CancelledError, CarinaError, UsageError
-from carina.render import FINDER_VIEW, LEAD_VIEW, CancelToken
+from carina.render import FINDER_VIEW, LEAD_VIEW, CancelToken, Picture
 from carina.render.saved_picture import FULL_STEP_VOX
 from carina.scopes import Optics
 from carina.server.frames.pacing import DEFAULT_RATE_HZ, MOVING, FrameScheduler, RenderOrder
@@ -43,9 +44,20 @@ class ShownPicture:
     width: int
     height: int
     """Height in pixels of the picture as sent; ``width`` likewise is that of the sent picture."""
+    moved: ChestDeformation | None = None
+    """Deformation of the chest in the picture; None without a simulated breathing."""
+
+    @property
+    def lens_lps(self) -> tuple[float, float, float]:
+        """Position of the lens in the CT at rest, LPS mm."""
+        lens = self.view.pose.position_lps
+        x, y, z = (float(v) for v in (lens if self.moved is None else self.moved.rest_points(lens)[0]))
+        return x, y, z
 
     def wall_at(self, column: float, row: float) -> Any:
         """Return the first wall that the ray through a position in the picture meets, or None.
+
+        The position of the wall is that in the CT at rest; its depth is that in the picture.
 
         Parameters
         ----------
@@ -63,7 +75,10 @@ class ShownPicture:
         # A position on the right or lower edge of the picture counts as its last pixel.
         n = min(int(column / self.width * self.view.width), self.view.width - 1)
         m = min(int(row / self.height * self.view.height), self.view.height - 1)
-        return self.renderer.pick(self.view, n, m)
+        hit = self.renderer.pick(self.view, n, m)
+        if hit is None or self.moved is None:
+            return hit
+        return replace(hit, position_lps=self.moved.rest_points(hit.position_lps)[0])
 
 
 def encode_jpeg(rgb: NDArray[np.uint8], *, full: bool) -> tuple[bytes, int]:
@@ -260,7 +275,7 @@ class FramePump:
                 view=cast(Any, shows),
                 stands_for=cast(Any, order.view) if shows != order.view else None,
                 pose_id=scene.pose_id,
-                lps_from_camera=_matrix_message(picture.lps_from_camera),
+                lps_from_camera=_matrix_message(_rest_from_camera(picture)),
                 fov_deg=None if picture.fov_deg is None else float(picture.fov_deg),
                 lens=_lens_message(picture.optics),
                 lps_from_pixel=_matrix_message(picture.lps_from_pixel),
@@ -277,6 +292,7 @@ class FramePump:
                 render_ms=round(rendered_s * 1e3, 2),
                 method=str(picture.stats.method),
                 layers=tuple(_layer_message(one) for one in layers),
+                breathes=scene.breathes(shows),
             )
             parts = (payload, *(one.data for one in layers), b"" if outline is None else outline.data)
             data = encode_picture(header, b"".join(parts))
@@ -293,7 +309,9 @@ class FramePump:
             wanted = self._scheduler.rendered(order, frame_id, now_s - began_s, now_s, rays_s=rays_s)
             if wanted and shows == LEAD_VIEW:
                 fine = scene.spec(shows, order.full_width, order.full_height, FULL_STEP_VOX)
-                self._shown[frame_id] = ShownPicture(scene.renderer, fine, header.width, header.height)
+                self._shown[frame_id] = ShownPicture(
+                    scene.renderer, fine, header.width, header.height, scene.deformation
+                )
                 while len(self._shown) > MAX_SHOWN:
                     del self._shown[next(iter(self._shown))]
         if wanted:
@@ -345,6 +363,14 @@ def _content_keys(scene: ShownCase, scheduler: FrameScheduler) -> dict[str, Hash
 def _is_empty(rgb: NDArray[np.uint8]) -> bool:
     """Return whether the picture is black in every 64th pixel (a grid of 8 x 8), that is, no ray met anything."""
     return not rgb[::8, ::8].any()
+
+
+def _rest_from_camera(picture: Picture) -> NDArray[np.float64] | None:
+    """Return the matrix from camera space to the CT at rest, in which the window has tree, route and marks."""
+    if picture.lps_from_camera is None or picture.lps_from_rest is None:
+        return picture.lps_from_camera
+    found: NDArray[np.float64] = np.linalg.solve(picture.lps_from_rest, picture.lps_from_camera)
+    return found
 
 
 def _lens_message(optics: Optics | None) -> PictureLens | None:

@@ -13,7 +13,7 @@ from carina.errors import ProtocolError, UsageError
 from carina.server.sockets.rate_limits import FLOOD, FLOOD_WORDS, RateLimit
 from carina.server.windows.window import Host, Window
 from carina.server.wire import messages as wire
-from carina.session import Changed, Event
+from carina.session import Changed, ChestMoved, Event
 from carina.session.state.snapshot import SavingInfo
 from carina.volume.note_privacy import words_without_names
 
@@ -147,11 +147,11 @@ class WatchingWindow(Window):
         )
 
     def _handle_event(self, event: Event) -> None:
-        """Process session events about changes only.
+        """Process session events about changes and movements only.
 
         Messages and errors may name files and are not sent to observers.
         """
-        if isinstance(event, Changed):
+        if isinstance(event, Changed | ChestMoved):
             super()._handle_event(event)
 
     def push_error(self, error: wire.Error) -> None:

@@ -206,6 +206,7 @@ def state_message(snapshot: Snapshot, *, frame_rate_hz: float, names_ct: bool = 
         mask_question=snapshot.mask_question,
         badges=() if snapshot.case is None else _note_messages(badges_of(snapshot.case.volume, airways)),
         saving=snapshot.saving,
+        breathing=snapshot.breathing,
     )
 
 

@@ -149,8 +149,7 @@ class Pointing:
         if hit is None:
             raise UsageError("there is no airway wall under the cursor", code="session.pick")
         x, y, z = (float(v) for v in hit.position_lps)
-        lens = shown.view.pose.position_lps
-        return self._session.ask(LumenBeforeWall((x, y, z), (float(lens[0]), float(lens[1]), float(lens[2]))))
+        return self._session.ask(LumenBeforeWall((x, y, z), shown.lens_lps))
 
     def _answer_branch_detail(self, message: wire.AskBranchDetail) -> None:
         measures = None

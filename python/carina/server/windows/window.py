@@ -21,6 +21,7 @@ from carina.server.wire import messages as wire
 from carina.session import (
     LAYERS,
     Changed,
+    ChestMoved,
     ErrorEvent,
     Event,
     EvidenceMissing,
@@ -226,7 +227,7 @@ class Window:
 
     def _on_event(self, event: Event) -> None:
         """Forward a session event to the event loop; the session calls this from any thread and holds its lock."""
-        if isinstance(event, Changed) and event.topics & {"views", "pose"}:
+        if isinstance(event, ChestMoved) or (isinstance(event, Changed) and event.topics & {"views", "pose"}):
             self.pump.content_changed()
         self._host.in_loop(self._handle_event, event)
 
@@ -237,6 +238,9 @@ class Window:
                 if "tree" in event.topics:
                     # The case may have become suitable or unsuitable for a task.
                     self.mark("training")
+            case ChestMoved():
+                if event.moves_scope:
+                    self.mark("pose")
             case JobProgress():
                 self.outbox.push(_progress(event))
             case JobEnded():

@@ -33,7 +33,7 @@ from carina.server.wire.messages_of_devices import NetworkPage
 from carina.server.wire.messages_of_plan import RouteOrigin
 from carina.session.scene.layer_lines import LayerName
 from carina.session.state.grey_scale import FeatureOff
-from carina.session.state.snapshot import FlightPlace, MaskQuestion, SavingInfo
+from carina.session.state.snapshot import BreathingInfo, FlightPlace, MaskQuestion, SavingInfo
 from carina.track import DrawnPart
 from carina.value import FrozenValue
 from carina.volume import Citation
@@ -295,6 +295,7 @@ class State(ServerMessage, frozen=True):
     badges: tuple[CaseNote, ...]
     """Notes on the case and its airways that stay visible while the case is open."""
     saving: SavingInfo = SavingInfo()
+    breathing: BreathingInfo = BreathingInfo()
 
 
 class HistoryStep(FrozenValue, frozen=True):
@@ -614,7 +615,10 @@ class PictureHeader(FrozenValue, frozen=True):
     """
     pose_id: Count
     lps_from_camera: Matrix4 | None
-    """Camera of a perspective view, else null."""
+    """Matrix of a perspective view from camera space to the CT at rest, mm, else null.
+
+    It is rigid, except for an airway view whose patient a simulated breathing has moved: it is then affine.
+    """
     fov_deg: float | None
     lens: PictureLens | None
     """Lens model; null for a pinhole camera with this field of view."""
@@ -649,3 +653,5 @@ class PictureHeader(FrozenValue, frozen=True):
     method: Words
     layers: Annotated[tuple[PictureLayer, ...], Meta(max_length=32)] = ()
     """Layers in slices and in the cut-plane that the window has selected with ``set_layers``."""
+    breathes: bool = False
+    """Whether an airway view shows a simulated breathing, which the window states in the picture."""

@@ -107,7 +107,7 @@ class FlightHandlers(CommandHandlers):
             text = waiting[0][1] if waiting and waiting[0][0] == 0 else self._text(number)
             recording = read_recording(io.StringIO(text), Path(f"flight {number}"))
             job.check()
-            flown = LoadedFlight(number, *recording.recorded_poses())
+            flown = LoadedFlight(number, *recording.recorded_poses(), recording.motions)
             with self.core.lock:
                 job.check()
                 case.flights.flown = flown

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, TextIO, cast
 
 from carina import commands as c
+from carina.breathing import ChestMotion
 from carina.case.recordings import RecordingFacts, RecordingWriter
 from carina.disk import disk_trouble, make_folder
 from carina.errors import UsageError
@@ -131,6 +132,7 @@ class FlightRecorder(CommandHandlers):
                     carina=VERSION,
                     now_s=self.core.clock(),
                     view=view_words(case.document, case.sight),
+                    motion=_motion(case),
                     on_end=self._report_write_error,
                 )
             except OSError as error:
@@ -202,6 +204,18 @@ class FlightRecorder(CommandHandlers):
         """Record the view settings after a change of document or sight; the caller holds the session's lock."""
         if self._recorder is not None and self._recorded_case is case:
             self._recorder.note_view(view_words(case.document, case.sight), self.core.clock())
+            self.note_breathing(case)
+
+    def note_breathing(self, case: OpenCase) -> None:
+        """Record the simulated breathing after a change; the caller holds the session's lock."""
+        if self._recorder is not None and self._recorded_case is case:
+            self._recorder.note_breathing(_motion(case), self.core.clock())
+
+
+def _motion(case: OpenCase) -> ChestMotion | None:
+    """Return the simulated breathing of a case on the session's clock; None without breathing."""
+    airways = case.document.airways
+    return None if airways is None else case.flights.breathing.motion(airways.tree)
 
 
 def new_flight(case: OpenCase, now_s: float, name: str | None = None) -> tuple[str, RecordingWriter]:

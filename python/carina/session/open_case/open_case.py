@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from carina.breathing import ChestDeformation, ChestMotion
 from carina.case.document import Document, KeyFrames, Point
 from carina.case.history import History
 from carina.case.recordings import RecordingFacts, RecordingWriter
@@ -20,7 +21,7 @@ from carina.commands import ArmPen, TakeMask
 from carina.errors import CarinaError
 from carina.navigate import Navigator, Pilot
 from carina.render import Sight
-from carina.scopes import Pose, ScopeHold
+from carina.scopes import Pose, ScopeHold, ScopeState, scope_in_moved_patient
 from carina.session.derived.airways import LumenWall, derived_measures, derived_wall
 from carina.session.derived.derived_value import Cached, Derived
 from carina.session.derived.lungs import CaseLungs
@@ -30,6 +31,7 @@ from carina.session.derived.render_content import ShownContent
 from carina.session.engines import Parts, RendererFactory
 from carina.session.jobs.background_jobs import JobRunner
 from carina.session.open_case.key_frame_flight import KeyFlight, key_flight
+from carina.session.open_case.live_breathing import LiveBreathing
 from carina.session.open_case.point_tests import in_lumen
 from carina.session.open_case.start_pose import pose_before_airways
 from carina.session.scene.window_views import Sights
@@ -55,6 +57,7 @@ __all__ = [
     "new_case",
     "pose_info",
     "restore",
+    "shown_deformation",
 ]
 
 EXPERT = "expert"
@@ -102,11 +105,18 @@ class LoadedFlight:
     """(n,) ascending times in s; the first is 0."""
     lps_from_camera: NDArray[np.float64]
     """(n, 4, 4) camera poses in LPS, mm."""
+    motions: tuple[tuple[float, ChestMotion | None], ...] = ()
+    """Changes of the simulated breathing (`carina.navigate.Recording.motions`)."""
 
     def pose_at(self, time_s: float) -> Pose:
         """Return the last recorded pose at or before ``time_s``."""
         n = int(np.searchsorted(self.times_s, time_s, side="right")) - 1
         return Pose(self.lps_from_camera[max(n, 0)])
+
+    def deformation_at(self, time_s: float) -> ChestDeformation | None:
+        """Return the deformation of the chest at ``time_s``; None if the flight has no breathing then."""
+        motion = next((one for at_s, one in reversed(self.motions) if at_s <= time_s), None)
+        return None if motion is None else motion.at(time_s)
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,7 +147,7 @@ class ScopeInLumen:
 
 @dataclass(slots=True)
 class CaseFlights:
-    """The recorded flights of a case in memory; the case file is updated from this object."""
+    """The recorded flights of a case in memory, from which the case file is updated, and the simulated breathing."""
 
     listed: tuple[RecordingFacts, ...] = ()
     """All flights in the order of the list, including the one that is being recorded."""
@@ -147,6 +157,7 @@ class CaseFlights:
     """Numbers of the flights that the user deleted in this session."""
     flown: LoadedFlight | None = None
     """The flight that was played last."""
+    breathing: LiveBreathing = field(default_factory=LiveBreathing)
 
 
 @dataclass(slots=True)
@@ -384,7 +395,30 @@ def moment_of(case: OpenCase) -> Moment:
     )
 
 
-def pose_info(case: OpenCase, pose_id: int) -> PoseInfo:
+def shown_deformation(case: OpenCase, now_s: float) -> ChestDeformation | None:
+    """Return the deformation of the chest in the airway view, while a breathing is simulated, else None.
+
+    A recorded flight that is played shows its own breathing. The caller holds the session's lock.
+    """
+    flight, flown = case.last_move.flight, case.flights.flown
+    if flight is not None and flown is not None and flown.number == flight.number:
+        return flown.deformation_at(flight.time_s)
+    airways = case.document.airways
+    motion = None if airways is None else case.flights.breathing.motion(airways.tree)
+    return None if motion is None else motion.at(case.flights.breathing.clock_s(now_s))
+
+
+def _scope_state(case: OpenCase, now_s: float) -> ScopeState | None:
+    """Return the state of the scope in the lumen, with contact and red-out in the moved patient."""
+    tip, airways = case.navigator, case.document.airways
+    deformation = shown_deformation(case, now_s)
+    wall = None if airways is None else case.wall.of(airways)
+    if tip.scope_state is None or deformation is None or wall is None or tip.scope_tip_mm is None:
+        return tip.scope_state
+    return scope_in_moved_patient(tip.scope_state, wall.field, deformation, tip.scope_tip_mm)
+
+
+def pose_info(case: OpenCase, pose_id: int, now_s: float) -> PoseInfo:
     """Return the pose of the tip with its branch, its distance along the route and the diameter of the lumen."""
     tip, index, document = case.navigator, case.index, case.document
     at = tip.pose.position_lps
@@ -408,7 +442,7 @@ def pose_info(case: OpenCase, pose_id: int) -> PoseInfo:
         branch=branch,
         lumen_mm=lumen_mm,
         inside=inside,
-        scope=tip.scope_state,
+        scope=_scope_state(case, now_s),
         scope_tip_mm=tip.scope_tip_mm,
         key_frames_s=case.last_move.key_frames_s,
         flight=case.last_move.flight,

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from carina.breathing import ChestDeformation
 from carina.render import LEAD_VIEW, VIEWS, PathSpan, Picture
 from carina.render.saved_picture import NamedPlace, PictureMarks, finish_picture
 from carina.track import Airways, AirwayTree, Branch, kind_words
@@ -105,7 +106,17 @@ def _place(picture: Picture, branch: Branch, volume: Volume, airways: Airways) -
     if picture.view != LEAD_VIEW:
         middle: Points = points[len(points) // 2]
         return middle
-    return _place_ahead(points, picture.lps_from_camera[:3, 3], volume, airways)
+    place = _place_ahead(points, _lens_at_rest(picture), volume, airways)
+    if place is None or picture.lps_from_rest is None:
+        return place
+    return ChestDeformation(picture.lps_from_rest).points(place)[0]
+
+
+def _lens_at_rest(picture: Picture) -> Points:
+    """Return the position of the lens in the CT at rest, where the airways are."""
+    assert picture.lps_from_camera is not None
+    lens: Points = picture.lps_from_camera[:3, 3]
+    return lens if picture.lps_from_rest is None else ChestDeformation(picture.lps_from_rest).rest_points(lens)[0]
 
 
 def _crossings(points: Points, lps_from_pixel: Points) -> Iterator[Points]:
@@ -141,5 +152,5 @@ def _branch_at_lens(picture: Picture, tree: AirwayTree) -> Branch | None:
     """Return the named branch that contains the lens of an airway view; None without one."""
     if picture.view != LEAD_VIEW or picture.lps_from_camera is None:
         return None
-    found = branch_at_point(tree, picture.lps_from_camera[:3, 3])
+    found = branch_at_point(tree, _lens_at_rest(picture))
     return None if found is None or found[0].name is None else found[0]

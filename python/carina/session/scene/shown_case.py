@@ -10,6 +10,7 @@ import msgspec
 import numpy as np
 
 from carina import render
+from carina.breathing import ChestDeformation
 from carina.commands import Look
 from carina.display import one_line
 from carina.render import VIEWS, Sight
@@ -79,6 +80,9 @@ class ShownCase:
     """Structures around the targets, if the user requested them."""
     wanted_layers: tuple[LayerName, ...] = LAYERS
     """Layers that the window shows."""
+    deformation: ChestDeformation | None = None
+    """Deformation of the chest in the airway view while a breathing is simulated, else None; other views show the CT
+    at rest."""
 
     @property
     def shown_lps(self) -> PointLps:
@@ -100,8 +104,13 @@ class ShownCase:
             # The key contains the lumen object itself, so that its identity cannot be reused by another object.
             self.lumen if row.outlined else None,
             *((self.layers, self.wanted_layers) if row.outlined else ()),
+            *((self.deformation.lps_from_rest.tobytes(),) if self.breathes(view) else ()),
             *row.depends_on(self._settings(row)),
         )
+
+    def breathes(self, view: str) -> bool:
+        """Return whether a view shows a simulated breathing."""
+        return self.deformation is not None and view == render.LEAD_VIEW
 
     def has(self, needs: Iterable[render.Need]) -> bool:
         """Return whether the scene has everything that a view requires: the airways, the route, or both."""
@@ -151,17 +160,21 @@ class ShownCase:
         """
         row = VIEWS[view]
         settings = self._settings(row)
-        return row.spec(replace(settings, width=width, height=height, full_width=full_width, step_vox=step_vox))
+        found = row.spec(replace(settings, width=width, height=height, full_width=full_width, step_vox=step_vox))
+        return replace(found, deformation=self.deformation) if self.breathes(view) else found
 
     def _settings(self, row: render.ViewRow) -> render.ViewSettings:
         """Return the settings of a view of this scene, without the image size."""
         scope = None if self.look.scope is None else scope_preset(self.look.scope)
+        pose = self.pose
+        if self.deformation is not None and self.breathes(row.name):
+            pose = pose.carried_by(self.deformation)
         outline = self.look.outline
         # Views with a fixed window or slab thickness ignore those of the sight.
         own: dict[str, Any] = {} if row.windowed else {"window": None}
         own |= {} if row.slab == "window" else {"slab": THIN}
         return render.ViewSettings(
-            pose=self.pose,
+            pose=pose,
             pose_id=self.pose_id,
             point_lps=self.shown_lps,
             sight=msgspec.structs.replace(self.sight, **own) if own else self.sight,

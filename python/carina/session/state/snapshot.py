@@ -182,6 +182,16 @@ class FlightInfo(FrozenValue, frozen=True):
     """*cut-off*: Carina was stopped during the recording; the flight contains what was written until then."""
 
 
+class BreathingInfo(FrozenValue, frozen=True):
+    """Settings of the simulated breathing."""
+
+    on: bool = False
+    movement_mm: float = 12.0
+    """Movement of the lung bases, mm."""
+    period_s: float = 3.6
+    """Duration of one breath, s."""
+
+
 @one_line
 @dataclass(frozen=True, slots=True)
 class Snapshot:
@@ -217,6 +227,7 @@ class Snapshot:
     saving: SavingInfo = SavingInfo()
     flights: tuple[FlightInfo, ...] = ()
     """Flights recorded into the case, in their order."""
+    breathing: BreathingInfo = field(default_factory=BreathingInfo)
 
 
 @one_line
@@ -275,6 +286,15 @@ class Changed:
     """Report that parts of the state have changed, which listeners then read from the session."""
 
     topics: frozenset[Topic]
+
+
+@one_line
+@dataclass(frozen=True, slots=True)
+class ChestMoved:
+    """Report that the simulated breathing has moved the chest; nothing else has changed."""
+
+    moves_scope: bool
+    """Whether a scope is in the lumen, whose contact with the wall may have changed."""
 
 
 @one_line

@@ -241,6 +241,8 @@ class TrainingHandlers(CommandHandlers):
         # recording inserts.
         way = entry_way(airways.tree)
         self.core.fly(place_pose(FlightPath(way).pose_at(ENTRY_MM)))
+        # Each attempt begins at the same state of breath.
+        case.flights.breathing.restart(self.core.clock())
         number = 1 + sum(one.name.startswith(f"{task.title}, attempt ") for one in case.flights.listed)
         self._recorder.start(c.RecordFlight(name=f"{task.title}, attempt {number}"))
         case.pilot.wall, case.pilot.wall_made_from = wall.field, wall.made_from
@@ -261,6 +263,7 @@ class TrainingHandlers(CommandHandlers):
             pose=case.navigator.pose,
             learner=learner,
         )
+        attempt.note_breathing(case.flights.breathing.motion(airways.tree), self.core.clock())
         self.core.changed("training", "flights", "state", "pose", "views")
         threading.Thread(target=self._watch, args=(case, attempt), name="carina-attempt", daemon=True).start()
 
@@ -277,12 +280,19 @@ class TrainingHandlers(CommandHandlers):
                 attempt.sample(case.navigator.pose, self.core.clock())
                 attempt.pause(self.core.clock())
                 self._recorder.pause()
+                case.flights.breathing.pause(self.core.clock())
                 self.core.tip_held = True
             else:
                 attempt.resume(self.core.clock())
                 self._release_tip(case)
             self._note_running(attempt)
             self.core.changed("training")
+
+    def note_breathing(self, case: OpenCase) -> None:
+        """Pass a change of the simulated breathing to the running attempt; the caller holds the session's lock."""
+        attempt, airways = self._of(case).attempt, case.document.airways
+        if attempt is not None and airways is not None:
+            attempt.note_breathing(case.flights.breathing.motion(airways.tree), self.core.clock())
 
     def _device_lost(self, device: str) -> None:
         """Report that the device of a running attempt was disconnected; the caller holds the session's lock."""
@@ -294,6 +304,7 @@ class TrainingHandlers(CommandHandlers):
         """Let the tip move again after a pause; the caller holds the session's lock."""
         if self.core.tip_held:
             self._recorder.resume()
+            case.flights.breathing.resume(self.core.clock())
             self.core.tip_held = False
             # A device that has moved during the pause continues from its new position, without a jump of the tip.
             for device in case.pilot.devices():

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import math
 import threading
+from dataclasses import replace
 
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from carina.breathing import ChestMotion
 from carina.errors import NoResultError
 from carina.scopes import Pose, WallField
 from carina.session.state.training import RunningTask
@@ -76,6 +78,7 @@ class LiveAttempt:
         self._score_before_s = self._newest_score_s = 0.0
         """Time of the score before the newest one, and of the newest one, since the beginning of the attempt."""
         self._paused_s: float | None = None
+        self._motions: list[tuple[float, ChestMotion | None]] = []
 
     @property
     def is_paused(self) -> bool:
@@ -92,6 +95,12 @@ class LiveAttempt:
         if self._paused_s is not None:
             self.begun_s += max(now_s - self._paused_s, 0.0)
             self._paused_s = None
+
+    def note_breathing(self, motion: ChestMotion | None, now_s: float) -> None:
+        """Use a simulated breathing on the session's clock from now on; None ends it."""
+        if motion is not None or self._motions:
+            own = None if motion is None else replace(motion, began_s=motion.began_s - self.begun_s)
+            self._motions.append((self.elapsed_s(now_s), own))
 
     @property
     def score(self) -> Score | None:
@@ -143,6 +152,7 @@ class LiveAttempt:
             True,
             poses,
             np.arange(len(poses)) / FRAME_HZ,
+            motions=tuple(self._motions),
         )
         try:
             self._score = self._scorer.score(frames)

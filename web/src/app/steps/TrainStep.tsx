@@ -14,6 +14,7 @@ import {
   timeText,
 } from "../../state/training";
 import type { FlightScore, QuizInfo, TaskInfo } from "../../wire/messages";
+import { BreathingControls } from "../BreathingControls";
 import { CoursePanel } from "../CoursePanel";
 import { useApp, useStation } from "../context";
 import { Act } from "../controls";
@@ -37,6 +38,7 @@ export function TrainStep() {
       </p>
       <CoursePanel course={training.course} />
       <ScopeSelect />
+      <BreathingControls />
       <VoiceSwitch />
       <ul className="key-list" aria-label="Tasks" data-testid="tasks">
         {training.tasks.map((task) => (

@@ -1,0 +1,137 @@
+"""Tests of scores of flights in a simulated breathing: those of the moved patient, and no change at amplitude 0."""
+
+from __future__ import annotations
+
+import io
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scripted_flights import Script, recording_text
+
+from carina.breathing import Breathing, ChestFrame, ChestMotion
+from carina.errors import VolumeImportError
+from carina.navigate.recording import read_recording
+from carina.scopes import Pose
+from carina.training import find_task, flight_frames, score_flight
+from carina.training.flight_frames import FlightFrames
+from carina.training.handling import CentrelineIndex, tip_places
+from carina.training.mastery import judge_mastery
+from carina.training.openings_in_sight import BranchOpening, branch_openings, openings_in_sight
+from carina.training.segments import segments_of_case
+
+
+@pytest.fixture(scope="module")
+def text(chest):
+    """Return the recording of a short flight past two segments."""
+    script = Script(chest.tree, speed_mm_s=40.0, hold_s=1.2)
+    script.start(float(chest.tree.root.length_mm) - 20.0)
+    for name in ("RB1", "RB2"):
+        script.inspect(name)
+    return recording_text(script.poses, chest.volume)
+
+
+def with_breathing(text: str, chest, breathing: Breathing | None, *, at_s: float = 0.0, began_s: float = 0.0) -> str:
+    """Return a recording with a line that states a breathing, or its end, at a time."""
+    motion = None if breathing is None else ChestMotion(breathing, ChestFrame.of_tree(chest.tree), began_s).to_json()
+    lines = text.splitlines()
+    place = 1 + sum(json.loads(line).get("t", 0.0) < at_s for line in lines[1:-1])
+    return "\n".join([*lines[:place], json.dumps({"t": at_s, "breathing": motion}), *lines[place:]]) + "\n"
+
+
+def read(text: str):
+    return read_recording(io.StringIO(text), Path("flight"))
+
+
+def scored(text: str, chest):
+    return score_flight(chest.tree, chest.wall, flight_frames(read(text)), find_task("inspect-all"))
+
+
+def plain(score) -> dict:
+    """Return a score as JSON, without its notes."""
+    return {name: value for name, value in score.to_json().items() if name != "notes"}
+
+
+def test_breathing_of_amplitude_0_changes_no_bit_of_the_score(text, chest):
+    without, still = scored(text, chest), scored(with_breathing(text, chest, Breathing.of_movement(0.0, 3.6)), chest)
+    assert plain(still) == plain(without)
+    assert not without.notes or "breathing" not in " ".join(without.notes)
+    assert any("simulated breathing, 0 mm every 3.6 s" in note for note in still.notes)
+
+
+def test_openings_in_sight_of_a_moved_patient_are_those_of_the_explicitly_moved_airways(text, chest, monkeypatch):
+    moved = Breathing.of_movement(40.0, 3.6).at(1.8, ChestFrame.of_tree(chest.tree))
+    still = flight_frames(read(text))
+    breathing = flight_frames(read(with_breathing(text, chest, Breathing())))
+    monkeypatch.setattr(FlightFrames, "deformation", lambda frames, _n: moved if frames.motions else None)
+    carried = replace(still, lps_from_tip=breathing.cameras())
+    ids = [one.branch_ids[0] for one in segments_of_case(chest.tree)]
+    openings = branch_openings(chest.tree, ids, chest.wall)
+    matrix = moved.lps_from_rest[:3, :3]
+    explicit = []
+    for one in openings:
+        normal = np.linalg.solve(matrix.T, one.dir_lps)
+        # The area of the disk; its moved outline is an ellipse.
+        radius_mm = one.radius_mm * np.sqrt(np.linalg.det(matrix) * np.linalg.norm(normal))
+        middle = moved.points(one.middle_lps)[0]
+        explicit.append(BranchOpening(one.branch_id, one.name, middle, normal / np.linalg.norm(normal), radius_mm))
+    limits = {"first": 0, "last": len(still.lps_from_tip) - 1}
+    found = openings_in_sight(breathing, openings, chest.wall, **limits)
+    true = openings_in_sight(carried, explicit, chest.wall.deformed(moved), **limits)
+    assert true.in_sight.sum() > 50
+    assert (found.in_sight != true.in_sight).sum() < 0.03 * true.in_sight.sum()
+    both = found.in_sight & true.in_sight
+    off = np.abs(found.off_middle[both] - true.off_middle[both])
+    # Without the map the openings are elsewhere in the picture, so that this test can fail.
+    rest = openings_in_sight(still, openings, chest.wall, **limits)
+    both = rest.in_sight & true.in_sight
+    assert off.mean() < 0.2 * np.abs(rest.off_middle[both] - true.off_middle[both]).mean()
+    places, moved_places = (
+        tip_places(frames, CentrelineIndex(tree))
+        for frames, tree in ((breathing, chest.tree), (carried, chest.tree.deformed(moved)))
+    )
+    assert np.mean(places.lumen_in_middle == moved_places.lumen_in_middle) > 0.95
+
+
+def test_cough_touches_a_tip_that_is_still_at_the_wall(chest):
+    points = chest.tree.root.points
+    at = points[len(points) // 2]
+    pose = Pose.looking(at, points[len(points) // 2 + 2] - at).lps_from_camera.copy()
+    reach = np.arange(0.0, 12.0, 0.1)
+    away = chest.wall.ball_mm(pose[:3, 3] + reach[:, None] * pose[:3, 0])
+    tip_mm = 2.45
+    # The space beside the tip is 0.5 mm at rest; a cough narrows the trachea by a third.
+    pose[:3, 3] += reach[int(np.argmax(away < tip_mm + 0.5))] * pose[:3, 0]
+    poses = [pose] * 30
+    text = recording_text(poses, chest.volume)
+    coughs = Breathing(craniocaudal_mm=0.0, anteroposterior_mm=0.0, coughs_s=(1.0,))
+    assert scored(text, chest).contacts == ()
+    (touch,) = scored(with_breathing(text, chest, coughs), chest).contacts
+    assert 1.0 < touch.time_s < 1.5
+    assert touch.duration_s < 0.5
+    # A breathing that begins later on the clock of the recording coughs later, and one that has ended never.
+    (late,) = scored(with_breathing(text, chest, coughs, began_s=0.5), chest).contacts
+    assert late.time_s == pytest.approx(touch.time_s + 0.5)
+    ended = with_breathing(with_breathing(text, chest, coughs), chest, None, at_s=0.5)
+    assert scored(ended, chest).contacts == ()
+
+
+def test_attempt_in_a_breathing_patient_states_it_and_does_not_count_for_mastery(text, chest):
+    score = scored(with_breathing(text, chest, Breathing()), chest)
+    (reasons,) = judge_mastery([score]).reasons
+    assert "the conditions differ: the patient breathed (simulated breathing)" in reasons
+
+
+@pytest.mark.parametrize(
+    "change",
+    [{"began_s": "soon"}, {"top_z_mm": -1e4}, {"breathing": {}}, {"other": 1}],
+    ids=lambda one: next(iter(one)),
+)
+def test_recording_with_an_invalid_breathing_is_refused(text, chest, change):
+    document = ChestMotion(Breathing(), ChestFrame.of_tree(chest.tree)).to_json() | change
+    lines = text.splitlines()
+    broken = "\n".join([lines[0], json.dumps({"t": 0.0, "breathing": document}), *lines[1:]]) + "\n"
+    with pytest.raises(VolumeImportError, match="line 2"):
+        read(broken)
