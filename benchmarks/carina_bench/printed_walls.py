@@ -11,6 +11,7 @@ import argparse
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import trimesh
@@ -66,7 +67,7 @@ def is_watertight(made: PrintablePhantom) -> bool:
     """Return whether trimesh finds the STL of a phantom watertight, with consistent triangles and a positive volume."""
     with tempfile.TemporaryDirectory() as folder:
         path = write_mesh(Path(folder) / "phantom.stl", made.mesh, contents="printable airway wall")
-        found = trimesh.load(path)
+        found: Any = trimesh.load(path)
     return bool(found.is_watertight and found.is_winding_consistent and found.volume > 0.0)
 
 

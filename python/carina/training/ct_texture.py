@@ -196,9 +196,9 @@ def _edge_profile(
     if len(runs) < LEAST_EDGES:
         return np.empty(0), np.empty(0)
     shares = (runs - lows[:, None]) / (highs - lows)[:, None]
-    at, shares = _registered(shares, step)
-    near = np.abs(at) <= NEAR_EDGE_MM
-    return at[near], shares[near]
+    off_mm, shares = _registered(shares, step)
+    near = np.abs(off_mm) <= NEAR_EDGE_MM
+    return off_mm[near], shares[near]
 
 
 def _registered(shares: Floats, step: float) -> tuple[Floats, Floats]:

@@ -191,7 +191,7 @@ def _holds(arrived: MoveRecorder, aim: Points, hit_share: HitShare) -> list[tupl
         turned = Move((turn + 180.0) % 360.0 - 180.0, 0.0, 0.0)
         recorder = arrived.copy()
         recorder.repeat((turned,))
-        found = []
+        found: list[tuple[tuple[float, float], tuple[Move, ...]]] = []
         for lever in np.linspace(0.0, up_deg, NUM_LEVERS + 1)[1:]:
             flexed = Move(0.0, STEP_DEG * math.trunc(float(lever) / STEP_DEG), 0.0)
             recorder.repeat((flexed,))

@@ -369,8 +369,7 @@ def _rest_from_camera(picture: Picture) -> NDArray[np.float64] | None:
     """Return the matrix from camera space to the CT at rest, in which the window has tree, route and marks."""
     if picture.lps_from_camera is None or picture.lps_from_rest is None:
         return picture.lps_from_camera
-    found: NDArray[np.float64] = np.linalg.solve(picture.lps_from_rest, picture.lps_from_camera)
-    return found
+    return np.linalg.solve(picture.lps_from_rest, picture.lps_from_camera).astype(np.float64, copy=False)
 
 
 def _lens_message(optics: Optics | None) -> PictureLens | None:

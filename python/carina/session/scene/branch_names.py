@@ -109,7 +109,8 @@ def _place(picture: Picture, branch: Branch, volume: Volume, airways: Airways) -
     place = _place_ahead(points, _lens_at_rest(picture), volume, airways)
     if place is None or picture.lps_from_rest is None:
         return place
-    return ChestDeformation(picture.lps_from_rest).points(place)[0]
+    moved: Points = ChestDeformation(picture.lps_from_rest).points(place)[0]
+    return moved
 
 
 def _lens_at_rest(picture: Picture) -> Points:

@@ -97,6 +97,7 @@ class ShownCase:
         row = VIEWS[view]
         if not self.has(row.needs):
             return None
+        moved = self.deformation if self.breathes(view) else None
         return (
             self.case_number,
             view,
@@ -104,7 +105,7 @@ class ShownCase:
             # The key contains the lumen object itself, so that its identity cannot be reused by another object.
             self.lumen if row.outlined else None,
             *((self.layers, self.wanted_layers) if row.outlined else ()),
-            *((self.deformation.lps_from_rest.tobytes(),) if self.breathes(view) else ()),
+            None if moved is None else moved.lps_from_rest.tobytes(),
             *row.depends_on(self._settings(row)),
         )
 
@@ -161,7 +162,10 @@ class ShownCase:
         row = VIEWS[view]
         settings = self._settings(row)
         found = row.spec(replace(settings, width=width, height=height, full_width=full_width, step_vox=step_vox))
-        return replace(found, deformation=self.deformation) if self.breathes(view) else found
+        # Only the airway view has this parameter.
+        if isinstance(found, render.AirwayView):
+            return replace(found, deformation=self.deformation)
+        return found
 
     def _settings(self, row: render.ViewRow) -> render.ViewSettings:
         """Return the settings of a view of this scene, without the image size."""
