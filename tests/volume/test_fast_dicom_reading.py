@@ -49,7 +49,8 @@ def _syntax(dataset, kind: str, folder: Path) -> None:
     if syntax is None:
         packed(dataset, folder, "JPEG")
     elif kind in ("RLE", "JPEG-LS"):
-        dataset.compress(syntax)
+        # GDCM's encoder of RLE aborts the process for some small pictures.
+        dataset.compress(syntax, encoding_plugin="pydicom" if kind == "RLE" else "pyjpegls")
     else:
         if syntax == ExplicitVRBigEndian:
             dataset.PixelData = np.frombuffer(dataset.PixelData, "<u2").astype(">u2").tobytes()
