@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from corpus import Input, all_inputs
-from dicom_writer import chest, packed, series
+from dicom_writer import chest, series
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydicom.uid import (
@@ -15,12 +15,11 @@ from pydicom.uid import (
     ExplicitVRBigEndian,
     ExplicitVRLittleEndian,
     ImplicitVRLittleEndian,
-    JPEGLSLossless,
     RLELossless,
 )
 
 from carina import _core
-from carina.errors import CancelledError, CarinaError
+from carina.errors import CancelledError, CarinaError, VolumeImportError
 from carina.volume import dicom_header_batches, open_volume
 from carina.volume.dicom import find_series
 from carina.volume.dicom_checks import is_odd, odd_slices
@@ -38,19 +37,15 @@ SYNTAXES = {
     "big endian": ExplicitVRBigEndian,
     "deflated": DeflatedExplicitVRLittleEndian,
     "RLE": RLELossless,
-    "JPEG-LS": JPEGLSLossless,
-    "JPEG": None,
 }
 
 
-def _syntax(dataset, kind: str, folder: Path) -> None:
+def _syntax(dataset, kind: str) -> None:
     """Convert a slice in explicit little-endian order to another transfer syntax."""
     syntax = SYNTAXES[kind]
-    if syntax is None:
-        packed(dataset, folder, "JPEG")
-    elif kind in ("RLE", "JPEG-LS"):
+    if kind == "RLE":
         # GDCM's encoder of RLE aborts the process for some small pictures.
-        dataset.compress(syntax, encoding_plugin="pydicom" if kind == "RLE" else "pyjpegls")
+        dataset.compress(syntax, encoding_plugin="pydicom")
     else:
         if syntax == ExplicitVRBigEndian:
             dataset.PixelData = np.frombuffer(dataset.PixelData, "<u2").astype(">u2").tobytes()
@@ -110,7 +105,7 @@ def test_published_odd_files_have_the_headers_and_pixels_of_the_reference(data_d
 
 @pytest.mark.parametrize("kind", SYNTAXES)
 def test_fast_readers_read_ordinary_series_of_each_transfer_syntax_like_the_reference(tmp_path, monkeypatch, kind):
-    folder = series(tmp_path / "ct", lambda dataset, _index: _syntax(dataset, kind, tmp_path), hu=chest(8))
+    folder = series(tmp_path / "ct", lambda dataset, _index: _syntax(dataset, kind), hu=chest(8))
     found = dict(dicom_header_batches.headers_in_batches(sorted(folder.iterdir())))
     assert all(read_image_headers(path)[0] == [header] for path, header in found.items())
     calls = []
@@ -127,7 +122,7 @@ def test_fast_readers_read_ordinary_series_of_each_transfer_syntax_like_the_refe
     assert fast[0] == chest(8).tobytes()
 
 
-@pytest.mark.parametrize("kind", ["explicit", "RLE", "JPEG-LS", "JPEG", "deflated"])
+@pytest.mark.parametrize("kind", ["explicit", "RLE", "deflated"])
 @pytest.mark.parametrize("damage", ["cut", "byte", "padding", "clipped"])
 def test_damaged_and_remarkable_slices_have_the_answer_of_the_reference(tmp_path, monkeypatch, kind, damage):
     def edit(dataset, index):
@@ -138,7 +133,7 @@ def test_damaged_and_remarkable_slices_have_the_answer_of_the_reference(tmp_path
             dataset.PixelData = values.tobytes()
         if damage == "clipped":
             dataset.RescaleIntercept = 32000
-        _syntax(dataset, kind, tmp_path)
+        _syntax(dataset, kind)
 
     folder = series(tmp_path / "ct", edit, hu=chest(6))
     victim = folder / "IM002"
@@ -153,10 +148,9 @@ def test_damaged_and_remarkable_slices_have_the_answer_of_the_reference(tmp_path
 
 @settings(max_examples=12, deadline=None)
 @given(data=st.data())
-def test_lossless_codings_of_any_picture_are_decoded_like_the_reference(tmp_path_factory, data):
+def test_rle_of_any_picture_is_decoded_like_the_reference(tmp_path_factory, data):
     rows, columns = data.draw(st.integers(2, 24)), data.draw(st.integers(2, 24))
     bits = data.draw(st.sampled_from([10, 12, 16]))
-    kind = data.draw(st.sampled_from(["RLE", "JPEG-LS", "JPEG"]))
     rng = np.random.default_rng(data.draw(st.integers(0, 2**32 - 1)))
     noise = data.draw(st.sampled_from([0, 1, 30, 1 << bits]))
     ramp = np.add.outer(np.arange(rows), np.arange(columns)) * data.draw(st.integers(0, 1 << (bits - 4)))
@@ -166,15 +160,15 @@ def test_lossless_codings_of_any_picture_are_decoded_like_the_reference(tmp_path
 
     def edit(dataset, index):
         dataset.PixelData = values[index].astype("<u2").tobytes()
-        dataset.BitsStored, dataset.HighBit = (16, 15) if kind == "JPEG" else (bits, bits - 1)
-        _syntax(dataset, kind, folder)
+        dataset.BitsStored, dataset.HighBit = (bits, bits - 1)
+        _syntax(dataset, "RLE")
 
     headers = _headers(series(folder / "ct", edit, hu=values.astype(np.int16)))
     found = np.empty((3, rows, columns), np.int16)
     is_read = _core.decode_dicom_slices(
         [(header.path, header.pixels_at, number) for number, header in enumerate(headers)],
         found,
-        coding={"RLE": "rle", "JPEG-LS": "JPEG-LS", "JPEG": "lossless JPEG"}[kind],
+        coding="rle",
         bits_allocated=16,
         bits_stored=headers[0].bits_stored,
         high_bit=headers[0].high_bit,
@@ -183,11 +177,18 @@ def test_lossless_codings_of_any_picture_are_decoded_like_the_reference(tmp_path
         padding=None,
         max_inflated=1 << 20,
     )
-    for header, own, one_is_read in zip(headers, found, is_read, strict=True):
-        pixels = decode_slice(header)
-        if one_is_read:
-            assert not pixels.doubts
-            np.testing.assert_array_equal(own, pixels.numbers)
+    for header, own, written, one_is_read in zip(headers, found, values, is_read, strict=True):
+        if not one_is_read:
+            # Noise is left to the reference, because swapped bytes look like noise.
+            assert np.abs(np.diff(written, axis=1)).mean() > 100
+            continue
+        np.testing.assert_array_equal(own, written - 1024)
+        try:
+            pixels = decode_slice(header)
+        except VolumeImportError:
+            continue  # GDCM refuses RLE of very small pictures
+        assert not pixels.doubts
+        np.testing.assert_array_equal(own, pixels.numbers)
 
 
 def test_odd_slices_of_the_compiled_module_are_those_of_the_reference():

@@ -1,4 +1,4 @@
-//! Fast reading of ordinary DICOM slices: header elements, lossless decoders, and checks of the pixels.
+//! Fast reading of ordinary DICOM slices: header elements, uncompressed and RLE pixels, and checks of the pixels.
 //!
 //! Every function accepts only input that it fully understands and returns `None` for the rest: damaged, unusual or
 //! doubtful files. The Python package reads these by pydicom and GDCM, which are slower and decide about errors and
@@ -6,15 +6,10 @@
 
 mod excess;
 mod header;
-mod jpeg_lossless;
-mod jpeg_ls;
 mod pixels;
 mod rle;
-mod segments;
 
 pub use excess::excesses;
 pub use header::{HeaderElements, Wanted, scan_file};
-pub use jpeg_lossless::decode_lossless_jpeg;
-pub use jpeg_ls::decode_jpeg_ls;
 pub use pixels::{Coding, SliceFormat, SliceSource, decode_slices};
 pub use rle::decode_rle;

@@ -6,8 +6,8 @@ use std::path::PathBuf;
 
 use rayon::prelude::*;
 
+use crate::decode_rle;
 use crate::header::{inflated_pixels, open_regular};
-use crate::{decode_jpeg_ls, decode_lossless_jpeg, decode_rle};
 
 const UNDEFINED: u32 = u32::MAX;
 const ITEM: [u8; 4] = [0xfe, 0xff, 0x00, 0xe0];
@@ -34,10 +34,6 @@ pub enum Coding {
     Deflated,
     /// RLE.
     Rle,
-    /// Lossless JPEG.
-    LosslessJpeg,
-    /// JPEG-LS.
-    JpegLs,
 }
 
 /// Format of the slices of one call.
@@ -129,9 +125,13 @@ fn read_slice(
             let end = at + begin + size_bytes(format);
             stored_words(bytes.get(at + begin..end)?, format)
         }
-        Coding::Rle | Coding::LosslessJpeg | Coding::JpegLs => {
+        Coding::Rle => {
             let stream = read_stream(source, buffer)?;
-            let words = decode(&stream, format)?;
+            let words = decode_rle(
+                &stream,
+                format.rows * format.columns,
+                format.bits_allocated as usize / 8,
+            )?;
             // GDCM does not change the sign or the unused bits of a number.
             let fits = format.high_bit + 1 == format.bits_stored
                 && if format.signed {
@@ -147,16 +147,6 @@ fn read_slice(
         }
     };
     to_volume(&words, format, out)
-}
-
-fn decode(stream: &[u8], format: &SliceFormat) -> Option<Vec<u16>> {
-    let (rows, columns, bits) = (format.rows, format.columns, format.bits_stored);
-    match format.coding {
-        Coding::Rle => decode_rle(stream, rows * columns, format.bits_allocated as usize / 8),
-        Coding::LosslessJpeg => decode_lossless_jpeg(stream, rows, columns, bits),
-        Coding::JpegLs => decode_jpeg_ls(stream, rows, columns, bits),
-        _ => None,
-    }
 }
 
 fn size_bytes(format: &SliceFormat) -> usize {

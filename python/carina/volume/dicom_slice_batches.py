@@ -24,9 +24,6 @@ _CODINGS = {
     "1.2.840.10008.1.2.2": "big",
     "1.2.840.10008.1.2.1.99": "deflated",
     "1.2.840.10008.1.2.5": "rle",
-    "1.2.840.10008.1.2.4.57": "lossless JPEG",
-    "1.2.840.10008.1.2.4.70": "lossless JPEG",
-    "1.2.840.10008.1.2.4.80": "JPEG-LS",
 }
 """Coding of the pixels in each transfer syntax that the compiled module reads."""
 _MAX_INTERCEPT = 1 << 24
