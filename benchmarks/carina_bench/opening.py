@@ -22,7 +22,7 @@ from carina_bench import opening_limits
 from carina_bench.alternating_timer import median_ratio, take_turns
 from carina_bench.gates import Gate
 from carina_bench.machine import load_average, machine_facts
-from carina_bench.opening_peers import SLICE_MM, SYNTAXES, words
+from carina_bench.opening_peers import SYNTAXES, words
 from carina_bench.worker import run_section
 from carina_bench.written_series import BOX_LPS, write_slices
 
@@ -30,6 +30,8 @@ __all__ = ["measure", "report"]
 
 WHOLE_MM, QUICK_MM = (0.7, 0.7, 0.5), (1.4, 1.4, 1.0)
 """Spacings in mm (x, y, z): 512 x 512 x 600 voxels in the box, and half as many along each axis."""
+QUICK_SLICE_MM = 5.0
+"""Distance in mm of the slices that are opened beside other programs with ``--quick``: 60 slices of 512 x 512."""
 CACHED, MAPPED, PLAIN = "from the cache", "mapped and touched", "read without a check"
 """Names in the report of the three ways of reading a CT that are timed."""
 FIRST_LOOK = "digest, range and quality"
@@ -47,13 +49,17 @@ def report(*, folder: Path, quick: bool, as_json: bool) -> int:
     print_note(f"{facts['cpu']}, {facts['cores']} cores, load {facts['load_average']}")
     row = run_section("opening:measure", {"spacing_mm": QUICK_MM if quick else WHOLE_MM, "repeats": 3 if quick else 5})
     beside = {
-        "slices": 24 if quick else 100,
-        "pixel_mm": WHOLE_MM[0],
-        "repeats": 3 if quick else 5,
+        "spacing_mm": (*WHOLE_MM[:2], QUICK_SLICE_MM if quick else WHOLE_MM[2]),
+        "repeats": 3,
         "syntaxes": SYNTAXES,
     }
     peers = run_section("opening_peers:measure", beside)
-    wanted = {"slices": 60 if quick else 200, "pixel_mm": WHOLE_MM[0], "slice_mm": SLICE_MM, "files": NUM_FILES}
+    wanted = {
+        "slices": 60 if quick else 600,
+        "pixel_mm": WHOLE_MM[0],
+        "slice_mm": WHOLE_MM[2],
+        "files": NUM_FILES,
+    }
     limits = run_section("opening_limits:measure", wanted)
     gates = [*_gates(row), *_peer_gates(peers), *opening_limits.gates(limits)]
     document = {

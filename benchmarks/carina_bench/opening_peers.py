@@ -30,7 +30,7 @@ from carina.volume import open_volume
 from carina_bench.alternating_timer import Times, median_ratio, take_turns
 from carina_bench.written_series import BOX_LPS, write_slices
 
-__all__ = ["SLICE_MM", "SYNTAXES", "measure", "words"]
+__all__ = ["SYNTAXES", "measure", "words"]
 
 SYNTAXES = (
     "explicit little endian",
@@ -42,8 +42,6 @@ SYNTAXES = (
     "lossless JPEG",
     "lossless JPEG 2000",
 )
-SLICE_MM = 0.7
-"""Distance of the slices, mm."""
 _UNPACKED = {
     "implicit little endian": ImplicitVRLittleEndian,
     "big endian": ExplicitVRBigEndian,
@@ -55,10 +53,7 @@ _BY_ITK = {"lossless JPEG": "JPEG", "lossless JPEG 2000": "JPEG2000"}
 
 def measure(request: dict[str, Any]) -> dict[str, Any]:
     """Measure all programs in each transfer syntax; the values of each program are compared with those of Carina."""
-    (x0, y0, _), (x1, y1, _) = BOX_LPS
-    box = ((x0, y0, -60.0), (x1, y1, -60.0 + request["slices"] * SLICE_MM))
-    pixel_mm = request["pixel_mm"]
-    volume = generate_phantom(spacing_mm=(pixel_mm, pixel_mm, SLICE_MM), box_lps=box).volume
+    volume = generate_phantom(spacing_mm=request["spacing_mm"], box_lps=BOX_LPS).volume
     rows = {}
     with tempfile.TemporaryDirectory(prefix="carina-bench-") as scratch:
         plain = write_slices(volume, Path(scratch) / "plain")
@@ -72,6 +67,8 @@ def measure(request: dict[str, Any]) -> dict[str, Any]:
                 else:
                     _pack(plain, folder, syntax)
             rows[syntax] = _row(folder, request["repeats"])
+            if folder != plain:
+                shutil.rmtree(folder)  # each takes up to 320 MB
     return {"shape_zyx": list(volume.shape_zyx), "rows": rows}
 
 

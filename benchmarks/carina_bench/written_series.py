@@ -16,6 +16,18 @@ __all__ = ["BOX_LPS", "write_slices", "write_stack"]
 BOX_LPS = ((-179.2, -181.2, -189.5), (178.6, 176.6, 110.0))
 """Box of the generated chest: lowest and highest corner, LPS mm."""
 
+_TEXTS = (
+    "AccessionNumber", "BodyPartExamined", "ConvolutionKernel", "DeviceSerialNumber", "FilterType", "InstitutionName",
+    "Manufacturer", "ManufacturerModelName", "PatientPosition", "ProtocolName", "RotationDirection", "ScanOptions",
+    "SoftwareVersions", "StationName", "StudyDescription", "StudyID",
+)  # fmt: skip
+_NUMBERS = (
+    "CTDIvol", "DataCollectionDiameter", "DistanceSourceToDetector", "DistanceSourceToPatient", "ExposureTime",
+    "FocalSpots", "GantryDetectorTilt", "GeneratorPower", "KVP", "ReconstructionDiameter", "SingleCollimationWidth",
+    "SliceLocation", "SliceThickness", "SpiralPitchFactor", "TableHeight", "TableSpeed", "TotalCollimationWidth",
+    "WindowCenter", "WindowWidth", "XRayTubeCurrent",
+)  # fmt: skip
+
 
 def write_slices(volume: Volume, folder: Path, syntax: UID = ExplicitVRLittleEndian) -> Path:
     """Write a DICOM series with one uncompressed file per slice, as a scanner does; return its folder."""
@@ -62,7 +74,31 @@ def write_stack(
         dataset.SamplesPerPixel, dataset.PhotometricInterpretation = 1, "MONOCHROME2"
         dataset.BitsAllocated, dataset.BitsStored, dataset.HighBit, dataset.PixelRepresentation = 16, 16, 15, 1
         dataset.RescaleSlope, dataset.RescaleIntercept = 1, 0
+        _add_scanner_tags(dataset, index)
         dataset.PixelData = values.astype("<i2" if syntax.is_little_endian else ">i2").tobytes()
         dataset["PixelData"].VR = "OW"
         dataset.save_as(folder / f"IM{index:04d}", enforce_file_format=True)
     return folder
+
+
+def _add_scanner_tags(dataset: Dataset, index: int) -> None:
+    """Add tags without influence on the volume, as many as a scanner writes: headers of CTs have about 120."""
+    moment = f"{100000 + index}.25"
+    dataset.PatientName, dataset.PatientID, dataset.PatientSex, dataset.PatientAge = "Phantom", "PHANTOM", "O", "060Y"
+    for keyword in ("StudyDate", "SeriesDate", "AcquisitionDate", "ContentDate"):
+        setattr(dataset, keyword, "20260101")
+    for keyword in ("StudyTime", "SeriesTime"):
+        setattr(dataset, keyword, "100000")
+    dataset.AcquisitionTime = dataset.ContentTime = moment
+    for keyword in _TEXTS:
+        setattr(dataset, keyword, "CHEST")
+    for keyword in _NUMBERS:
+        setattr(dataset, keyword, 100)
+    dataset.AcquisitionNumber, dataset.InstanceNumber = 1, index + 1
+    code = Dataset()
+    code.CodeValue, code.CodingSchemeDesignator, code.CodeMeaning = "CT", "DCM", "Chest"
+    dataset.ProcedureCodeSequence, dataset.ReferencedStudySequence = [code], [Dataset(), Dataset()]
+    for group in (0x0019, 0x0029, 0x0043):
+        block = dataset.private_block(group, "CARINA BENCHMARK", create=True)
+        for element in range(20):
+            block.add_new(element, "LO", f"value {element}")

@@ -1,6 +1,7 @@
 """Types of the compiled module; contracts are in the Python facade, algorithms in the crates' documentation."""
 
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import Any, final
 
 import numpy as np
@@ -11,6 +12,38 @@ from carina.render.wall_texture import Decoration
 
 def build_info() -> dict[str, Any]:
     """Return the build settings and capabilities: version, profile, simd, threads, target, gpu."""
+
+# ---- DICOM slices ----
+
+def scan_dicom_headers(
+    paths: Sequence[Path],
+    *,
+    shared: Sequence[int],
+    single: Sequence[int],
+    refused: Sequence[int],
+    max_inflated: int,
+) -> list[tuple[bytes, list[bytes | None], int | None] | None]:
+    """Return key, single elements and offset of the pixels of each file that is plainly readable."""
+
+def decode_dicom_slices(
+    sources: Sequence[tuple[Path, int, int]],
+    out_zyx: NDArray[np.int16],
+    *,
+    coding: str,
+    bits_allocated: int,
+    bits_stored: int,
+    high_bit: int,
+    signed: bool,
+    intercept: int,
+    padding: Sequence[tuple[int, int]] | None,
+    max_inflated: int,
+    cancel: Callable[[], bool] | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> list[bool]:
+    """Read slices (path, offset of the pixels, index) into a volume in place; return which were read."""
+
+def slice_excesses(values_zyx: NDArray[np.int16], *, tile: int | None, step: int, allowed: float) -> list[float]:
+    """Return the excess in HU of each slice between two neighbours."""
 
 # ---- scope ----
 

@@ -9,6 +9,7 @@ mod airpath;
 mod arrays;
 mod cross_section;
 mod cubic_grids;
+mod dicom;
 mod errors;
 mod evidence;
 #[cfg_attr(not(feature = "gpu"), path = "gpu_absent.rs")]
@@ -56,6 +57,7 @@ fn build_info(py: Python<'_>) -> PyResult<Bound<'_, pyo3::types::PyDict>> {
 fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(build_info, module)?)?;
     cubic_grids::register(module)?;
+    dicom::register(module)?;
     isoregion::register(module)?;
     optics::register(module)?;
     raycast::register(module)?;

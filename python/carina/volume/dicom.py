@@ -27,6 +27,7 @@ from carina.volume.dicom_headers import SETTINGS, SliceHeader, acquisition_date
 from carina.volume.dicom_pixel_bytes import release_pixel_data
 from carina.volume.dicom_pixels import Doubt, decode_slice, is_compressed
 from carina.volume.dicom_series import Group, count_patients, group_slices, without_copies
+from carina.volume.dicom_slice_batches import read_plain_slices
 from carina.volume.hu import HU_TYPES, MAX_DOUBTFUL_SHARE, HuVerdict, clipped_note, judge_dicom
 from carina.volume.jpeg2000_check import not_checked_note, second_decoder
 from carina.volume.message_limits import bounded_list, bounded_message, bounded_name
@@ -466,10 +467,12 @@ def _read_slices(
     """Return the decoded slices on the grid of the stack; count clipped and padded voxels, and collect doubts."""
     stack = series.stack
     assert stack is not None
-    values: NDArray[np.int16] | None = None
+    values, read = read_plain_slices(stack, watch)
     before: tuple[SliceHeader, NDArray[Any]] | None = None
     planes: dict[int, NDArray[np.int16]] = {}
     for index, (header, level) in enumerate(zip(stack.slices, stack.levels, strict=True)):
+        if index in read:
+            continue
         watch.step("Reading the slices", index / len(stack.slices))
         pixels = decode_slice(header)
         numbers: NDArray[Any] = pixels.numbers

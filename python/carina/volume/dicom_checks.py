@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from carina import _core
 from carina.errors import VolumeImportError
 from carina.volume.dicom_files import name_files
 from carina.volume.dicom_headers import SliceHeader
@@ -158,8 +159,26 @@ def odd_slices(values: NDArray[np.int16], *, compressed: bool, slice_mm: float) 
     list of int
         Indices of the slices, ascending.
     """
-    triples = zip(values, values[1:], values[2:], strict=False)
-    return [at + 1 for at, three in enumerate(triples) if is_odd(*three, compressed=compressed, slice_mm=slice_mm)]
+    whole = _core.slice_excesses(values, tile=None, step=_STEP, allowed=_ALLOWED)
+    odd = {at + 1 for at, excess in enumerate(whole) if excess > _MOST_OF_SLICE}
+    if compressed:
+        tiled = _core.slice_excesses(values, tile=_tile(values.shape[1]), step=1, allowed=_ALLOWED_OF_TILE)
+        odd |= {at + 1 for at, excess in enumerate(tiled) if excess > _most_of_tile(slice_mm)}
+    return sorted(odd)
+
+
+_STEP = 4  # every fourth pixel along both axes is compared in whole slices
+_ALLOWED, _ALLOWED_OF_TILE = 2.0, 2.5  # multiples of the neighbours' difference
+_MOST_OF_SLICE = 20.0  # HU
+
+
+def _tile(rows: int) -> int:
+    return max(8, rows // 16)
+
+
+def _most_of_tile(slice_mm: float) -> float:
+    """Return the largest excess in HU of a tile of an undamaged slice."""
+    return 100.0 * max(slice_mm / 2.0, 1.0) ** 1.5
 
 
 def is_odd(
@@ -174,10 +193,9 @@ def is_odd(
     compressed, slice_mm
         As for :func:`odd_slices`.
     """
-    if _fits_worst(below, middle, above, tile=None) > 20:
+    if _fits_worst(below, middle, above, tile=None) > _MOST_OF_SLICE:
         return True
-    most = 100.0 * max(slice_mm / 2.0, 1.0) ** 1.5
-    return compressed and _fits_worst(below, middle, above, tile=max(8, middle.shape[0] // 16)) > most
+    return compressed and _fits_worst(below, middle, above, tile=_tile(middle.shape[0])) > _most_of_tile(slice_mm)
 
 
 def _fits_worst(below: NDArray[Any], middle: NDArray[Any], above: NDArray[Any], *, tile: int | None) -> float:
@@ -186,7 +204,7 @@ def _fits_worst(below: NDArray[Any], middle: NDArray[Any], above: NDArray[Any], 
     The excess is the difference from the nearer neighbour minus a multiple of the neighbours' difference. With
     ``tile``, differences are means over square tiles of this side, otherwise over the whole slice.
     """
-    step = 4 if tile is None else 1
+    step = _STEP if tile is None else 1
     three = [np.clip(part[::step, ::step], -1200, 1500).astype(np.int32) for part in (below, middle, above)]
 
     def differences(one: int, other: int) -> NDArray[np.float64]:
@@ -197,7 +215,7 @@ def _fits_worst(below: NDArray[Any], middle: NDArray[Any], above: NDArray[Any], 
         tiles = difference[: high * tile, : wide * tile].reshape(high, tile, wide, tile)
         return np.asarray(tiles.mean(axis=(1, 3)))
 
-    allowed = 2.0 if tile is None else 2.5
+    allowed = _ALLOWED if tile is None else _ALLOWED_OF_TILE
     return float((np.minimum(differences(0, 1), differences(1, 2)) - allowed * differences(0, 2)).max(initial=-np.inf))
 
 

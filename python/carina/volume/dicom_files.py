@@ -18,6 +18,7 @@ from pydicom.dataset import Dataset
 
 from carina.disk import special_kind
 from carina.errors import VolumeImportError
+from carina.volume.dicom_header_batches import headers_in_batches
 from carina.volume.dicom_headers import SliceHeader, read_image_headers
 from carina.volume.dicom_signature import starts_like_dicom
 from carina.volume.message_limits import bounded_name
@@ -166,9 +167,9 @@ def read_folder(folder: Path, *, recursive: bool, watch: Watch) -> FolderContent
     headers: list[SliceHeader] = []
     unused: list[UnusedFile] = []
     paths = list(_walk(folder, unused, recursive=recursive, watch=watch))
-    for index, path in enumerate(paths):
+    for index, (path, header) in enumerate(headers_in_batches(paths)):
         watch.step("Reading the headers", index / len(paths))
-        found = _read(path)
+        found = _read(path) if header is None else [header]
         if isinstance(found, UnusedFile):
             unused.append(found)
         else:

@@ -76,9 +76,14 @@ class SliceStack:
         return tuple(round(float(place), 3) for place in self.uneven.places)
 
     @property
+    def is_resampled(self) -> bool:
+        """Whether voxels are interpolated within or between the slices because of a tilt or uneven distances."""
+        return self.tilt is not None or self.uneven is not None
+
+    @property
     def is_corrected(self) -> bool:
         """Whether voxels of the volume are not pixels of the slices."""
-        return self.tilt is not None or self.uneven is not None or len(self.levels) < self.shape_zyx[0]
+        return self.is_resampled or len(self.levels) < self.shape_zyx[0]
 
     @property
     def sources(self) -> tuple[tuple[int, tuple[int, ...]], ...]:

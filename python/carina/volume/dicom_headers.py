@@ -40,7 +40,8 @@ logging.getLogger("pydicom").setLevel(logging.CRITICAL + 1)
 MAX_IMAGE_SIDE = (
     8192  # pixels; twice the size of the largest detectors; larger claims are refused before memory is allocated
 )
-_MAX_INFLATED_BYTES = 1 << 28  # largest decompressed size of a deflated file
+MAX_INFLATED_BYTES = 1 << 28
+"""Largest decompressed size of a deflated file, bytes."""
 _DEFLATED = b"1.2.840.10008.1.2.1.99"
 
 # Tags that identify the patient and the scan. Slices with two values never form one volume.
@@ -78,7 +79,7 @@ SETTINGS = {
 
 _IDENTITY_TAGS, _SETTING_TAGS = ([Tag(keyword) for keyword in keywords] for keywords in (IDENTITY, SETTINGS))
 
-_TAGS = sorted({
+HEADER_TAGS = sorted({
     "BitsAllocated", "BitsStored", "BodyPartExamined", "Columns", "HighBit", "ImageOrientationPatient",
     "ImagePositionPatient", "LossyImageCompression", "NumberOfFrames", "PhotometricInterpretation",
     "ConcatenationUID", "ModalityLUTSequence", "PerFrameFunctionalGroupsSequence", "PixelPaddingRangeLimit",
@@ -86,6 +87,7 @@ _TAGS = sorted({
     "ProtocolName", "RescaleIntercept", "RescaleSlope", "RescaleType", "Rows", "SOPClassUID", "SOPInstanceUID",
     "SamplesPerPixel", "SeriesInstanceUID", "SharedFunctionalGroupsSequence", "SliceThickness", *IDENTITY, *SETTINGS,
 })  # fmt: skip
+"""Keywords of all elements that a header is parsed from."""
 
 
 _DATES = ("AcquisitionDate", "AcquisitionDateTime", "StudyDate")
@@ -186,7 +188,7 @@ def _check_inflated_size(path: Path) -> None:
             while chunk:
                 total += len(inflater.decompress(chunk, 1 << 20))
                 chunk = inflater.unconsumed_tail
-                if total > _MAX_INFLATED_BYTES:
+                if total > MAX_INFLATED_BYTES:
                     msg = "the file decompresses to an implausible size"
                     raise ValueError(msg)
 
@@ -209,7 +211,7 @@ def read_dataset(path: Path, *, pixels: bool) -> Dataset:
     return _read(path, pixels=pixels)[0]
 
 
-def _read(path: Path, *, pixels: bool, tags: Sequence[Any] = _TAGS) -> tuple[Dataset, int | None]:
+def _read(path: Path, *, pixels: bool, tags: Sequence[Any] = HEADER_TAGS) -> tuple[Dataset, int | None]:
     """Read the data set, and the offset of its pixel element if the element was skipped and can be found."""
     try:
         _check_inflated_size(path)
@@ -308,9 +310,8 @@ class _Tags:
         if not value:
             return ""
         if isinstance(value, bytes):
-            parts = value.decode("latin-1").strip("\0 ").split("\\")
-        else:
-            parts = [str(v) for v in value] if isinstance(value, (list, tuple, MultiValue)) else [str(value)]
+            return comparable_bytes(value)
+        parts = [str(v) for v in value] if isinstance(value, (list, tuple, MultiValue)) else [str(value)]
         return "/".join(filter(None, map(_comparable, parts)))
 
     def text(self, keyword: str) -> str:
@@ -389,6 +390,11 @@ def _is_comparable(element: Any, tag: BaseTag, value: bytes) -> bool:
 
 def _is_binary(tag: BaseTag) -> bool:
     return dictionary_VR(tag) in ("FD", "FL", "UL", "US", "SL", "SS")
+
+
+def comparable_bytes(value: bytes) -> str:
+    """Return a stored text for comparison: numbers in one form, letters without case, values joined by a slash."""
+    return "/".join(filter(None, map(_comparable, value.decode("latin-1").strip("\0 ").split("\\"))))
 
 
 @functools.lru_cache(maxsize=4096)

@@ -1,0 +1,111 @@
+"""Fast reading of the pixels of unremarkable slices, on all cores, straight into the volume.
+
+The compiled module reads a slice only if its pixels are certainly those that ``dicom_pixels`` would return, without a
+doubt, padding or clipping. Every other slice is left to ``dicom_pixels``, the reference, which decides about errors and
+notes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carina import _core
+from carina.volume.dicom_geometry import SliceStack
+from carina.volume.dicom_headers import MAX_INFLATED_BYTES, SliceHeader
+from carina.volume.padding import PaddingRange
+from carina.volume.progress import Watch
+
+_CODINGS = {
+    "1.2.840.10008.1.2": "implicit",
+    "1.2.840.10008.1.2.1": "little",
+    "1.2.840.10008.1.2.2": "big",
+    "1.2.840.10008.1.2.1.99": "deflated",
+    "1.2.840.10008.1.2.5": "rle",
+}
+"""Coding of the pixels in each transfer syntax that the compiled module reads."""
+_MAX_INTERCEPT = 1 << 24
+
+_Format = tuple[str, int, int, int, bool, int, tuple[PaddingRange, ...] | None]
+
+
+def read_plain_slices(stack: SliceStack, watch: Watch) -> tuple[NDArray[np.int16] | None, frozenset[int]]:
+    """Read the unremarkable slices of a series.
+
+    Parameters
+    ----------
+    stack
+        Slices and grid of the series.
+    watch
+        Progress and cancellation.
+
+    Returns
+    -------
+    values, read
+        The volume (nz, ny, nx) with the slices that were read, and their numbers in ``stack.slices``; the other voxels
+        are undefined. ``values`` is None if no slice was read.
+
+    Raises
+    ------
+    CancelledError
+        If the user cancels.
+    """
+    groups: dict[_Format, list[int]] = {}
+    # The values of slices with different rescale tags must be compared, and corrected geometry needs each slice alone.
+    if not stack.is_resampled and len({(header.slope, header.intercept) for header in stack.slices}) == 1:
+        for number, header in enumerate(stack.slices):
+            form = _format(header)
+            if form is not None:
+                groups.setdefault(form, []).append(number)
+    if not groups:
+        return None, frozenset()
+    values = np.empty(stack.shape_zyx, dtype=np.int16)
+    read: set[int] = set()
+    for form, numbers in groups.items():
+        watch.step("Reading the slices", len(read) / len(stack.slices))
+        read.update(_read(stack, form, numbers, values, watch))
+    return values, frozenset(read)
+
+
+def _format(header: SliceHeader) -> _Format | None:
+    """Return the arguments of the compiled module for a slice; None if it does not read such slices."""
+    coding = _CODINGS.get(header.transfer_syntax)
+    is_readable = coding is not None and (header.pixels_at is not None or coding == "deflated")
+    is_plain = header.slope == 1.0 and header.intercept == int(header.intercept) and header.modality_lut is None
+    if coding is None or not is_readable or not is_plain or header.frame is not None:
+        return None
+    if abs(header.intercept) >= _MAX_INTERCEPT:
+        return None
+    return (
+        coding,
+        header.bits_allocated,
+        header.bits_stored,
+        header.high_bit,
+        header.signed,
+        int(header.intercept),
+        header.padding if header.modality == "CT" else None,
+    )
+
+
+def _read(
+    stack: SliceStack, form: _Format, numbers: Sequence[int], values: NDArray[np.int16], watch: Watch
+) -> list[int]:
+    coding, bits_allocated, bits_stored, high_bit, signed, intercept, padding = form
+    report = watch.progress
+    found = _core.decode_dicom_slices(
+        [(stack.slices[number].path, stack.slices[number].pixels_at or 0, stack.levels[number]) for number in numbers],
+        values,
+        coding=coding,
+        bits_allocated=bits_allocated,
+        bits_stored=bits_stored,
+        high_bit=high_bit,
+        signed=signed,
+        intercept=intercept,
+        padding=None if padding is None else list(padding),
+        max_inflated=MAX_INFLATED_BYTES,
+        cancel=watch.cancel,
+        progress=None if report is None else lambda share: report("Reading the slices", share),
+    )
+    return [number for number, is_read in zip(numbers, found, strict=True) if is_read]
