@@ -1,4 +1,5 @@
-//! Readable reference for the fast construction of maps: the paper's iteration, and the definition of the map of cells.
+//! Readable reference implementations of the radius maps: the paper's iteration, and the definition of the map of
+//! cells.
 
 use crate::{IsoRegionError, error::check_length};
 

@@ -18,7 +18,7 @@ const SHARP_PART: f32 = 1.0 / 400.0;
 /// A wall that would need a larger circle is too near for a scope to see anything.
 const WIDEST_PART: f32 = 1.0 / 32.0;
 
-/// Radius that marks a pixel without a ray, which is not part of the picture.
+/// Radius of the circle of confusion that marks a pixel without a ray, which is not part of the picture.
 const NO_RAY: f32 = -1.0;
 
 /// Range of distances from the scope's tip, mm, that the picture shows sharply.
