@@ -21,7 +21,7 @@ from carina.volume.model import Volume
 from carina.volume.quality import Finding, Quality, quality_gate
 
 SHARP_HU = 30.0
-"""Undershoot beside edges above which a kernel is named as sharp."""
+"""Undershoot in HU beside edges above which a finding states that the kernel is sharp."""
 
 
 @one_line

@@ -1,4 +1,4 @@
-"""Sections of the trachea's air, followed upwards slice by slice into larynx and throat."""
+"""Cross-sections of the trachea's air, followed upwards slice by slice into larynx and throat."""
 
 from __future__ import annotations
 
@@ -69,7 +69,8 @@ class AirSection:
     noise_hu: float
     """Standard deviation of the section's air in HU, estimated from the median deviation."""
     peak: float
-    """Highest voxel value in the section or close round it, HU; the wall of a tube is brighter than tissue."""
+    """Highest voxel value in the section or within a few voxels round it, HU; the wall of a tube is brighter than
+    tissue."""
     leaves_in_front: bool
     """Whether the air continues in front of the section, outside the part that is followed."""
 

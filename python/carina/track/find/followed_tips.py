@@ -1,4 +1,4 @@
-"""Search for small airways beyond the flooded lumen, limited if the search leaks into the lung."""
+"""Search for small airways beyond the flooded lumen, with stricter limits if the search leaks into the lung."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from carina.track.progress import Stages
 from carina.volume.model import Note, Volume
 
 STOPPED = "track.search-stopped"
-"""Code of the permanent note on a search that leaked out of the airways."""
+"""Code of the permanent note (stored with the case) on a search that leaked out of the airways."""
 
 # Least rise in HU to the wall of an airway that is followed beyond the flood (docs/decisions/0112).
 MIN_RISE_HU = 15.0
@@ -90,9 +90,10 @@ class FollowedTips:
     badge: Note | None
     """Permanent note that the search leaked, and how the search was limited; None if the search did not leak."""
     threads_lps: NDArray[np.float64]
-    """Points (n, 3) along the thinnest airways, LPS in mm; each airway was judged by the CT along 5 mm of it."""
+    """Points (n, 3) along the thinnest airways, LPS in mm, each accepted by the CT values along 5 mm of airway."""
     judged: NDArray[np.float64]
-    """Points along the airways that were followed beyond the flood, (n, 4): LPS in mm, and probability."""
+    """Points along airways beyond the flood that were judged by odds, (n, 4): LPS in mm, and probability of the
+    airway."""
     has_leaked: bool
     """Whether the search leaked into the lung, or would have leaked along the rims of a sharp kernel."""
 
@@ -232,7 +233,7 @@ def _in_adult_mm(volume: Volume, size: float) -> Volume:
 def _follow_thin_airways(
     volume: Volume, lumen: NDArray[np.uint8], scale: AirScale, stage: Stages, *, air: float
 ) -> list[dict[str, Any]]:
-    """Return the thinnest airways that were followed from a lumen; the lumen (1 inside) is changed in place."""
+    """Follow the thinnest airways from a lumen and return them; the lumen (1 inside) is changed in place."""
     _, voxel_mm, slice_mm = sorted(volume.spacing_mm)
     found = extend_thin_lumen(
         volume.hu_zyx,

@@ -58,7 +58,7 @@ class SoftenedCt:
     None if it was not measurable.
     """
     raised: float
-    """Factor, less 1, by which the kernel enhances the finest detail; 0 if the kernel is soft."""
+    """Factor by which the kernel enhances the finest detail, minus 1; 0 if the kernel is soft."""
     smoothed_mm: float
     """Sigma of the Gaussian that removed noise, in mm; 0 if the volume was not smoothed."""
     _sharp: Volume

@@ -91,7 +91,7 @@ def _sampled_points(branch: Branch) -> tuple[Points, Points, NDArray[np.float64]
 def with_mask_doubts(
     volume: Volume, tree: AirwayTree, noise_hu: float, scale: AirScale
 ) -> tuple[AirwayTree, Note | None]:
-    """Return the tree of a mask with the confidence of its doubtful branches, and a note if the mask is doubtful.
+    """Return a mask's tree with confidences of its doubtful branches, and with a note if the mask is doubtful.
 
     The share of a branch is the part of its length with a dark middle and a wall on most sides: 1 if this is so
     along the whole branch, 0 for a branch in tissue or in lung without a wall. A mask drawn at the outer side of the

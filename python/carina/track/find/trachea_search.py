@@ -216,7 +216,7 @@ def trachea_round(volume: Volume, scale: AirScale, start: tuple[int, int, int], 
 
 
 def _along(volume: Volume, trachea: Trachea, sections: list[AirSection]) -> Trachea:
-    """Return the trachea extended by the sections in which its air was followed."""
+    """Return the trachea extended by sections of its air above and below."""
     if not sections:
         return trachea
     own = {section.k for section in sections}

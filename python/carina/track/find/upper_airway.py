@@ -76,7 +76,7 @@ MIN_PLASTIC_HU = -600.0
 # Least peak value in HU of a tube whose wall touches the wall of the trachea all round.
 LINE_HU = 500.0
 LINE_NOISES = 8.0
-"""Least brightness of a tube's radiopaque line above water, in standard deviations of the noise."""
+"""Minimum brightness of a tube's radiopaque line above water, in standard deviations of the noise."""
 # Largest area of the air in a tube that fills the trachea, as a share of the trachea's area.
 TIGHT_AREA = 0.55
 # Length in mm below which a narrow part of the trachea does not count as a tube that fills the trachea.
@@ -193,7 +193,7 @@ def _is_bright(peaks: NDArray[np.float64], length_mm: float) -> bool:
 
 
 def _is_plastic(septum_hu: NDArray[np.float64]) -> bool:
-    """Return whether the material between air and air is brighter than noise.
+    """Return whether the material between two parts of air is brighter than noise, as plastic is.
 
     Without such material the result is True: the wall of the tube then touches the wall of the trachea.
     """
@@ -289,7 +289,7 @@ def _larynx_size(diameter_mm: float, cords_mm: float | None) -> float:
 
 
 def has_larynx(volume: Volume, sections: list[AirSection]) -> bool:
-    """Return whether sections from the trachea upwards contain a larynx, even if the scan shows little of the trachea.
+    """Return whether sections from the trachea upwards contain a larynx, even if few sections of trachea precede it.
 
     A volume smaller than a neck contains no larynx: it is a part of a chest, a specimen or a model.
     """
@@ -303,7 +303,7 @@ def has_larynx(volume: Volume, sections: list[AirSection]) -> bool:
 def _larynges(
     sections: list[AirSection], tube: Tube | None, typical: tuple[float, float, float], least_mm: float
 ) -> list[tuple[int, int]]:
-    """Return the first and last index of each narrow part that is like a larynx, at least ``least_mm`` up."""
+    """Return the first and last index of each narrow part like a larynx, ``least_mm`` or more above the first."""
     heights = _heights(sections)
     width, depth, area = typical
     up = heights - heights[0]
@@ -354,7 +354,7 @@ def _is_trachea(above: list[AirSection], width: float, depth: float, area: float
 def join_sections(
     volume: Volume, sections: list[AirSection], tube: Tube | None, stop: int, *, is_open: bool
 ) -> tuple[list[AirSection], list[tuple[AirSection, NDArray[np.bool_]]]]:
-    """Return the first ``stop`` sections, each reduced or completed to the air of the trachea alone.
+    """Return the first ``stop`` sections, each limited or extended to the air of the trachea alone.
 
     Where an opening leaves the trachea, the air reaches forward; where fluid surrounds a tube, only the tube's own
     lumen remains. Such sections are replaced by the sections below and above, moved to the line between those two.
@@ -485,7 +485,7 @@ def opening_in_front(
 
 
 def _is_pure_air(values: NDArray[np.int16], step_mm: tuple[float, float, float], scale: AirScale) -> NDArray[np.bool_]:
-    """Return the voxels (nz, ny, nx) in blocks whose mean is that of air; noise makes single voxels of lung as dark."""
+    """Return a mask (nz, ny, nx) of blocks whose mean value is that of air; single dark voxels of lung are excluded."""
     sizes = [max(round(PURE_AIR_MM / step), 1) for step in step_mm]
     padding = [(0, -n % size) for n, size in zip(values.shape, sizes, strict=True)]
     whole = np.pad(values, padding, mode="edge").astype(np.float32)

@@ -1,4 +1,4 @@
-"""Extent of the trachea in a scan: its air is followed to the carina, and the air beside it is removed."""
+"""Whole trachea in a scan: its air, followed down to the carina and up to its top, without the air beside it."""
 
 from __future__ import annotations
 
@@ -135,7 +135,7 @@ def begins_below_top(sections: list[AirSection], top_k: int, area_mm2: float) ->
 
 
 def trachea_sections(sections: list[AirSection], top_k: int, area_mm2: float) -> list[AirSection]:
-    """Return the sections up to a slice, and the sections above it up to a long part unlike the trachea."""
+    """Return the sections up to a slice and those above it, up to a long part that is unlike the trachea."""
     low, high = SIMILAR_AREA[0] * area_mm2, SIMILAR_AREA[1] * area_mm2
     last = 0
     for n, section in enumerate(sections):

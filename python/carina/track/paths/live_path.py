@@ -37,7 +37,7 @@ Point = tuple[float, float, float]
 
 
 class LumenPaths(Protocol):
-    """Interface of a tracker that live paths need (:class:`carina.track.PathTracker`)."""
+    """Interface of a path tracker for live paths (:class:`carina.track.PathTracker`)."""
 
     @property
     def core(self) -> LumenTracker:
@@ -63,7 +63,7 @@ class LumenPaths(Protocol):
         ...
 
     def new_share(self, node: int) -> tuple[float, int | None]:
-        """Return the share of the path to a node that is outside the tree, and the branch where this part starts."""
+        """Return the length share of a path outside the tree, and the branch where this part starts."""
         ...
 
 
