@@ -13,7 +13,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
 MAX_BYTES = 2 * 1024 * 1024
-"""Largest size of a file in the repository, bytes."""
+"""Maximum size of a file in the repository, bytes."""
 BIG_FILES = {"python/carina/_cases/"}  # The bundled patient case (CC BY) may be larger.
 NAMED_PATH = re.compile(
     r"`((?:crates|packages|python|web|tests|tools|docs|examples|benchmarks|protocol|build_backend)/[\w./*-]*)`"
@@ -26,7 +26,7 @@ CITED_DECISION = re.compile(r"\bdecisions?[ /](\d{4})\b", re.IGNORECASE)
 DECISION_HEADINGS = ["Context", "Decision", "Reasons", "Alternatives", "What would change this"]
 """Headings of a decision, in this order."""
 MAX_DECISION_WORDS = 600
-"""Largest number of words of a decision; docs/writing.md recommends about 450."""
+"""Maximum number of words of a decision; docs/writing.md recommends about 450."""
 GENERATED = ("benchmarks/results", "tests/out", "python/carina/_web")
 """Start of the paths of generated files; a document may name such a file although it does not exist."""
 HOME_PATH = re.compile(rb"(?<![\w.])/(?:home|root|Users)/[A-Za-z0-9._-]+/")

@@ -20,11 +20,11 @@ from carina.volume import Volume
 __all__ = ["run"]
 
 MAX_PLAN_S, MAX_VERDICTS_S = 10.0, 60.0
-"""Aims on two cores: seconds from the click to the plan with its first verdict, and of the verdicts."""
+"""Limits to be reached on two cores: seconds from the click to the plan with its first verdict, and of the verdicts."""
 
 
 def timed(what: str, work: Callable[[], Any]) -> Any:
-    """Return the result of some work, and print its wall time and its processor time in seconds."""
+    """Return the result of ``work``, and print its wall time and its processor time in seconds."""
     wall, cpu = time.perf_counter(), time.process_time()
     found = work()
     print(

@@ -37,7 +37,7 @@ COUGH_SHIFT_MM = 10.0
 EXHALED_POWER = 4
 """Exponent of the cosine over time; with 4, the chest is near expiration for half of a period."""
 LEAST_HEIGHT_MM = 60.0
-"""Smallest height of a tree of airways whose breathing can be simulated, mm."""
+"""Minimum height of a tree of airways whose breathing can be simulated, mm."""
 
 
 class _Branch(Protocol):

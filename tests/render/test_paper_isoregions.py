@@ -21,7 +21,7 @@ from volumes_of_the_paper import headsq, in_8_bits, lidc2, random_blocks
 BIN = 16
 """Width of the bins that Carina compares where a volume has more than 256 values."""
 STOP = 1.0 / 65536.0
-"""Smallest transparency at which a ray may end; the paper's rays do not end early."""
+"""Minimum transparency at which a ray may end; the paper's rays do not end early."""
 TOLERANCE = 0.5 + 0.02
 """Tolerance of a colour in grey levels: rounding to 8 bits, and float32 with the rest of a ray after its end."""
 NEAR = 2e-5

@@ -56,7 +56,7 @@ def compare_with_algorithm_1(volume: Volume, root: Node, targets: list[Node]) ->
 
 
 MIN_SHARE = 0.95
-"""Smallest share of equal nodes of two paths; paths whose costs are nearly equal may differ."""
+"""Minimum share of equal nodes of two paths; paths whose costs are nearly equal may differ."""
 
 
 @pytest.mark.data

@@ -25,7 +25,7 @@ pub struct Mesh {
     pub triangles: Vec<[u32; 3]>,
 }
 
-/// Smallest distance of a vertex from the voxels of its grid edge, as a fraction of the edge, so that no triangle has
+/// Minimum distance of a vertex from the voxels of its grid edge, as a fraction of the edge, so that no triangle has
 /// an area of 0.
 pub(crate) const MARGIN: f64 = 0.02;
 

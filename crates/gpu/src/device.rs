@@ -16,7 +16,7 @@ use crate::{
     stages::{Stage, StageLayout, Variant},
 };
 
-/// Largest number of bytes of a buffer that is requested from a device.
+/// Maximum number of bytes of a buffer that is requested from a device.
 const MAX_BUFFER: u64 = 1 << 30;
 
 /// Number that the next opened device gets.

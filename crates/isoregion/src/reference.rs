@@ -3,7 +3,7 @@
 
 use crate::{IsoRegionError, error::check_length};
 
-/// Largest radius that a map can contain, in voxels.
+/// Maximum radius that a map can contain, in voxels.
 ///
 /// Larger cubes exist; to store them with a smaller radius costs speed, never correctness.
 pub const MAX_RADIUS_VOX: u8 = 255;

@@ -7,7 +7,7 @@ use crate::field::{Quanta, StepCost};
 use crate::field_layout::Layout;
 use crate::field_sweep::Sweep;
 
-/// Largest cost in quanta that the entry of a voxel in `left` can represent: 31 bits.
+/// Maximum cost in quanta that the entry of a voxel in `left` can represent: 31 bits.
 pub(crate) const MAX_QUANTA: i32 = i32::MAX;
 
 /// Step by which a voxel was first reached: the voxel's node, the index of its weight, and the cell of the step.

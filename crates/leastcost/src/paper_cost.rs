@@ -22,7 +22,7 @@ pub const GRADIENT_WEIGHT: f64 = 0.7;
 /// Weight of the Laplacian's zero crossing in the cost, `w_z` of paper 6.2.
 pub const ZERO_CROSSING_WEIGHT: f64 = 0.3;
 
-/// Smallest weight of an edge per mm.
+/// Minimum weight of an edge per mm.
 ///
 /// Departure from paper 6.2: the printed weight can be 0, and then the integer costs have no smallest edge that would
 /// define an accuracy of 0.5 %. Only edges along which the mean gradient is above 99.4 % of the volume's largest are

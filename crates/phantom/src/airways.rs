@@ -81,9 +81,9 @@ fn wall_mm(radius: f64) -> f64 {
     0.4 + 0.15 * radius
 }
 
-/// Least distance between the walls of branches that do not meet, mm.
+/// Minimum distance between the walls of branches that do not meet, mm.
 const GAP_MM: f64 = 0.8;
-/// Smallest distance of subsegments from the pleura, in addition to their own radius and wall, mm.
+/// Minimum distance of subsegments from the pleura, in addition to their own radius and wall, mm.
 const PLEURA_MM: f64 = 2.5;
 
 /// Height above the carina at which a tracheal bronchus arises, mm.

@@ -13,7 +13,7 @@ use crate::shapes::{Piece, SIGMA_MM, along, cover, direction, mix, smooth_max, s
 
 /// Distance from a surface in mm beyond which the blur has no effect ([`cover`] ends at 1.88 sigma).
 const BLUR_MM: f64 = 1.88 * SIGMA_MM;
-/// Largest distance between samples within a voxel, mm, for slices up to 3 mm.
+/// Maximum distance between samples within a voxel, mm, for slices up to 3 mm.
 const SAMPLE_MM: f64 = 0.6;
 /// Approximate edge length of a brick in mm, for any spacing, so that lists stay short on coarse grids.
 const BRICK_MM: f64 = 7.0;

@@ -36,7 +36,7 @@ shared_constants! {
     /// Linear light of a wall at normal incidence below which jagged pixels at its edge are not visible.
     const FAINT: f32 = 0.02;
 
-    /// Smallest wrap lighting of a wall at a silhouette.
+    /// Minimum wrap lighting of a wall at a silhouette.
     ///
     /// The edge of thin, wet mucosa is not the dark line that matt stone shows where it turns away.
     const EDGE_WRAP: f32 = 0.6;

@@ -13,11 +13,11 @@ use crate::wall::WallField;
 
 type Point = [f64; 3];
 
-/// Largest penetration of the wall by the tip with which a movement is accepted, mm; the specified limit is 0.1 mm.
+/// Maximum penetration of the wall by the tip with which a movement is accepted, mm; the specified limit is 0.1 mm.
 const TIP_TOLERANCE_MM: f64 = 0.02;
-/// Largest penetration of the wall by the shaft with which a movement is accepted, mm; the specified limit is 0.5 mm.
+/// Maximum penetration of the wall by the shaft with which a movement is accepted, mm; the specified limit is 0.5 mm.
 const SHAFT_TOLERANCE_MM: f64 = 0.15;
-/// Smallest number of sweeps over the nodes in one relaxation of the scope's axis.
+/// Minimum number of sweeps over the nodes in one relaxation of the scope's axis.
 const MIN_SWEEPS: usize = 3;
 /// Number of sweeps after which a relaxation of the scope's axis ends, also if nodes still move.
 const MAX_SWEEPS: usize = 36;

@@ -14,9 +14,9 @@ use crate::wall::WallField;
 
 type Point = [f64; 3];
 
-/// Largest insertion in mm of one simulated step; longer movements are divided.
+/// Maximum insertion in mm of one simulated step; longer movements are divided.
 const STEP_MM: f64 = 0.5;
-/// Largest step of flexion and roll, radians; a bent tip of 50 mm then moves by about as much as in an insertion step.
+/// Maximum step of flexion and roll, radians; a bent tip of 50 mm then moves by about as much as in an insertion step.
 const STEP_RAD: f64 = 0.02;
 /// Distance in mm between tip and wall up to which the tip is in contact with the wall.
 const TOUCH_MM: f64 = 0.1;
@@ -558,7 +558,7 @@ impl ScopeDrive {
 
 /// Distance in mm between the points of a resampled path.
 const PATH_STEP_MM: f64 = 0.25;
-/// Largest length of a path, mm: eight times the length of a scope. Points of a longer path would only use memory.
+/// Maximum length of a path, mm: eight times the length of a scope. Points of a longer path would only use memory.
 const MAX_PATH_MM: f64 = 5_000.0;
 
 /// Return points [`PATH_STEP_MM`] apart along a path.

@@ -22,7 +22,7 @@ const AXIS_MM: f64 = 0.4;
 /// At an edge of the wall the interpolated field is some hundredths of a millimetre too large, and a ridge penetrates
 /// between balls by as much.
 pub(crate) const SKIN_MM: f64 = 0.03;
-/// Largest distance in mm from the leader of a group of test balls to the other balls of the group.
+/// Maximum distance in mm from the leader of a group of test balls to the other balls of the group.
 const REACH_MM: f64 = 0.75;
 /// Clearance, in addition to the reach of its group, that a leader must have so that its group needs no test, mm.
 ///

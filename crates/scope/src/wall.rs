@@ -19,9 +19,9 @@ const SIDE: usize = CELLS + 1;
 pub(crate) const SAMPLES: usize = SIDE * SIDE * SIDE;
 /// Number of bytes of the transform and of the shape at the start of a serialised field.
 const HEAD_BYTES: usize = 8 * 15;
-/// Largest distance outside the lumen that is stored, mm; larger distances are limited to this one.
+/// Maximum distance outside the lumen that is stored, mm; larger distances are limited to this one.
 pub(crate) const OUTSIDE_MM: f64 = 2.5;
-/// Largest distance inside the lumen that is stored, mm, more than any scope's radius; larger distances are
+/// Maximum distance inside the lumen that is stored, mm, more than any scope's radius; larger distances are
 /// limited to this one.
 pub(crate) const INSIDE_MM: f64 = 4.5;
 /// Number above which a number of type f64 has no fraction, 2^52.

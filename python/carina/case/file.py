@@ -53,7 +53,7 @@ from carina.navigate import Recording
 from carina.volume import Volume
 
 MAX_IN_MEMORY_BYTES: Final = 256 << 20
-"""Largest size in bytes of a case that is copied in memory; a larger case is copied on the disk."""
+"""Maximum size in bytes of a case that is copied in memory; a larger case is copied on the disk."""
 
 
 @one_line

@@ -13,7 +13,7 @@ from carina.display import one_line
 D = TypeVar("D")
 
 MERGE_WITHIN_S = 1.0
-"""Longest pause in seconds between changes of one gesture, such as a drag of the grey window, that form one step."""
+"""Maximum pause in seconds between changes of one gesture, such as a drag of the grey window, that form one step."""
 MAX_STEPS = 1000
 
 

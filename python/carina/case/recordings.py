@@ -31,7 +31,7 @@ from carina.navigate import Recording
 from carina.navigate.recording import read_recording
 
 CHUNK_S: Final = 1.0
-"""Largest duration of a chunk in seconds; a chunk stays in memory until the next :meth:`RecordingWriter.keep`."""
+"""Maximum duration of a chunk in seconds; a chunk stays in memory until the next :meth:`RecordingWriter.keep`."""
 MAX_CHUNK_CHARS: Final = 8 << 20
 MAX_CHUNKS: Final = 1_000_000
 MAX_RECORDING_BYTES: Final = 1 << 30

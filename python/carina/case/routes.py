@@ -22,7 +22,7 @@ from carina.track.targets.paper_tracker import along_branches
 from carina.value import FrozenValue, PointLps, Words
 
 PARKED_MM = 2.0
-"""Largest distance in mm that an edit may move a centreline while the scope's planned position stays valid."""
+"""Maximum distance in mm that an edit may move a centreline while the scope's planned position stays valid."""
 AT_THE_ROOT = "the point lies at the tracheal entry, so there is no path to fly along"
 
 

@@ -28,7 +28,7 @@ Placement = Callable[[Path, Path], None]
 """``placement(draft, target)`` moves a complete draft to its target, or raises and leaves the target unchanged."""
 DRAFT = re.compile(r"\.carina-[0-9a-f]{16}\.draft")
 SWEEP_AGAIN_S = 60.0
-"""Shortest time between two sweeps of one folder; a recorded flight writes thousands of pictures into one folder."""
+"""Minimum time between two sweeps of one folder; a recorded flight writes thousands of pictures into one folder."""
 UNKNOWN_AFTER_S = 86_400.0
 """Age in seconds from which a draft is considered abandoned if the state of its lock is unknown.
 

@@ -47,7 +47,7 @@ PIN_MM, PIN_LENGTH_MM, CLEARANCE_MM = 3.0, 4.0, 0.2
 The supports of the core have the same distance from their beds.
 """
 SUPPORT_MM, SUPPORT_LENGTH_MM = 1.2, 4.0
-"""Largest radius of the supports of the core at the tips, and their length in the halves, mm."""
+"""Maximum radius of the supports of the core at the tips, and their length in the halves, mm."""
 HANDLE_MM = 5.0
 """Length in mm of the core outside the halves."""
 CHANNEL_MM = 1.5
@@ -63,7 +63,7 @@ FAR_MM = 50.0
 OVERLAP_CELLS = 3
 """Number of cells in which a branch may be before or behind another one: the corners of discs."""
 LEAST_RADIUS_MM = 1.0
-"""Least median radius in mm of a branch of the mould; a thinner core breaks."""
+"""Minimum median radius in mm of a branch of the mould; a thinner core breaks."""
 
 
 @one_line

@@ -31,11 +31,11 @@ from carina.volume import Volume
 FORMAT, VERSION = "carina-recording", 1
 MAX_BYTES = 1 << 30
 MAX_LINE = 64 << 20
-"""Largest accepted length of a line in characters: a path of a million points."""
+"""Maximum accepted length of a line in characters: a path of a million points."""
 TaskOutcome = Literal["completed", "stopped", "time-limit", "interrupted"]
 """End of an attempt at a task: completed, stopped by the user, at the time limit, or for another reason."""
 MAX_LENGTH_S = 1e7
-"""Longest accepted recording in seconds: four months."""
+"""Maximum accepted recording in seconds: four months."""
 
 
 def case_key(volume: Volume) -> dict[str, Any]:

@@ -39,7 +39,7 @@ _COMPRESSED = tuple(
 _IMAGE_CLASSES = _STORED[:4]
 _PENDING = (0xFF00, 0xFF01)
 _SLOW_S = 120.0
-"""Longest wait in seconds for the next message of a PACS, which may have to load a tape."""
+"""Maximum wait in seconds for the next message of a PACS, which may have to load a tape."""
 _BATCH = 200
 """Number of images in one request of a resumed retrieval."""
 # The library logs the values of identifiers and AE titles; nothing about a patient may be logged.

@@ -26,7 +26,7 @@ __all__ = ["SeriesPreview", "likeliest_series", "preview_series"]
 
 _CHEST = re.compile(r"chest|thora|lung|pulmo", re.IGNORECASE)
 _FEWEST_IMAGES = 20
-"""Smallest number of images of a series that is proposed; fewer are a scout or a part."""
+"""Minimum number of images of a series that is proposed; fewer are a scout or a part."""
 
 
 @one_line

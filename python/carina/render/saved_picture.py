@@ -26,7 +26,7 @@ DECORATED = "decorated"
 SCALE_MM = (1, 2, 5, 10, 20, 50, 100, 200)
 """Lengths of a scale bar, mm."""
 SCALE_SHARE = 0.25
-"""Largest length of a scale bar as a share of the picture's width; the longest round length below it is drawn."""
+"""Maximum length of a scale bar as a share of the picture's width; the longest round length below it is drawn."""
 
 Point = NDArray[np.float64] | tuple[float, float, float]
 

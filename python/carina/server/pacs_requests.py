@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 MAX_LISTED_SERIES = 2000
 MAX_PREVIEWS = 24
-"""Largest number of series of a study with a preview, for each of which one image is retrieved."""
+"""Maximum number of series of a study with a preview, for each of which one image is retrieved."""
 SENDING = "sending the plan to the PACS"
 """Title of the job that sends a plan; the page disables its button while a job with this title runs."""
 _NAME = "carina-pacs"

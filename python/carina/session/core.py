@@ -43,7 +43,7 @@ from carina.session.state.snapshot import (
 from carina.session.store.local_settings import LocalStore
 
 MAX_SHOWN_CHARS = 4000
-"""Largest shown length of a name or a description, which another program may have written."""
+"""Maximum shown length of a name or a description, which another program may have written."""
 
 
 def flight_list(case: OpenCase, saving: SavingInfo) -> tuple[FlightInfo, ...]:

@@ -50,7 +50,7 @@ MAX_LEARNERS = 1000
 SAMPLED_OF = 4
 """One of so many poses, chosen by its digest, is stored as a digest, by which a replay is recognised."""
 MAX_VALUE = 1e12
-"""Greatest magnitude of a number of an attempt; greater or infinite numbers come from a damaged file."""
+"""Maximum magnitude of a number of an attempt; greater or infinite numbers come from a damaged file."""
 OWN_ATTEMPTS = "over all attempts of this learner, in their order"
 _VALUES = (
     "diagnostic_completeness", "num_case_segments", "structured_progress", "procedure_time_s",

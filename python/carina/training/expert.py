@@ -17,7 +17,7 @@ from carina.training.handling import CentrelineIndex
 from carina.training.score import Score
 
 ALIGN_MM = 2.0
-"""Largest distance in mm along a branch between two positions of the tip that are at the same place."""
+"""Maximum distance in mm along a branch between two positions of the tip that are at the same place."""
 PATH_STEP_MM = 0.5
 """Distance in mm between the points of the expert's path from which the deviation is measured."""
 MAX_PATH_POINTS = 40_000

@@ -24,7 +24,7 @@ PICTURE_PX = 64
 MIN_PICTURE_SHARE = 0.01
 """Share of the picture's pixels below which an unoccluded opening does not count as in sight."""
 MIN_CLEAR_SHARE = 0.5
-"""Least share of an opening's area that is in the picture and that the wall does not hide."""
+"""Minimum share of an opening's area that is in the picture and that the wall does not hide."""
 DISK_POINTS = 200
 """Number of points, spread evenly over an opening, by which this share is counted."""
 MAX_RED_OUT = 0.5

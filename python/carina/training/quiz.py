@@ -28,11 +28,11 @@ NUM_CHOICES = 4
 BACK_MM = (10.0, 8.0, 12.0, 6.0, 15.0, 4.0)
 """Distances in mm before a fork at which the tip may look at an opening, the preferred ones first."""
 LEAST_HOURS = 2.0
-"""Least difference in clock hours between the openings of a fork from which a question is made."""
+"""Minimum difference in clock hours between the openings of a fork from which a question is made."""
 MAX_GENERATION = 5
 """Generation of a branch above which no question is about its fork."""
 LEAST_INTO_MM = 8.0
-"""Least length in mm of a branch in which three slices can show a place beyond the fork."""
+"""Minimum length in mm of a branch in which three slices can show a place beyond the fork."""
 INTO_BRANCH = 0.4
 """Share of its length at which the tip is placed in the branch that a question shows."""
 

@@ -20,7 +20,7 @@ WRITE_AGAIN_S = 1.0
 STALE_S = 15.0
 """Time in s without a change after which a file was left by a program that ended without deleting it."""
 CLOSING_S = 1.0
-"""Largest time in s that :meth:`RunningTasks.close` waits for the disk."""
+"""Maximum time in s that :meth:`RunningTasks.close` waits for the disk."""
 
 
 class RunningTasks:

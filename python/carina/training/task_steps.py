@@ -21,15 +21,15 @@ from carina.training.task import Task, landmarks_of, names_on_way
 from carina.training.visits import MIDDLE, SEEN_S, Visit, first_run, frames_of, run_ends
 
 STATION_MM = 10.0
-"""Largest distance in mm of the tip from the landmark of a station that is located."""
+"""Maximum distance in mm of the tip from the landmark of a station that is located."""
 STATION_DEG = 45.0
-"""Largest angle in degrees between the tip's upward direction and the direction of the station."""
+"""Maximum angle in degrees between the tip's upward direction and the direction of the station."""
 STATION_S = 1.0
 """Time in s for which both hold without a break when the station is located."""
 REACH_MM = 5.0
-"""Largest distance in mm of the tip from its planned position at which the target counts as reached."""
+"""Maximum distance in mm of the tip from its planned position at which the target counts as reached."""
 REACH_DEG = 30.0
-"""Largest angle in degrees between the tip's direction and the line from the tip to the aim in the target."""
+"""Maximum angle in degrees between the tip's direction and the line from the tip to the aim in the target."""
 REACH_S = 1.0
 """Time in s for which both hold without a break when the target is reached."""
 TARGET = "planned target"

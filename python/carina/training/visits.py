@@ -22,7 +22,7 @@ SEEN_S = 0.5
 VISIT_S = 1.0
 """Time in s for which an opening is held in the middle of the picture without a break when it is visited."""
 MIDDLE = 0.5
-"""Largest distance from the middle of the picture, in radii of the picture, at which an opening is in the middle."""
+"""Maximum distance from the middle of the picture, in radii of the picture, at which an opening is in the middle."""
 
 
 @one_line

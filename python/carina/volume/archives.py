@@ -38,9 +38,9 @@ from carina.volume.read_limits import MAX_FILES
 ArchiveKind = Literal["zip", "tar", "gzip tar", "xz tar", "bzip2 tar", "7z", "rar"]
 
 MAX_UNPACKED_BYTES = 32 << 30
-"""Largest number of bytes that one archive may unpack to, with all archives in it."""
+"""Maximum number of bytes that one archive may unpack to, with all archives in it."""
 MAX_RATIO = 200
-"""Largest ratio of unpacked to packed bytes; CT slices have 2 to 10, also with much air."""
+"""Maximum ratio of unpacked to packed bytes; CT slices have 2 to 10, also with much air."""
 FREE_OF_RATIO_BYTES = 256 << 20
 """Number of unpacked bytes up to which an archive may have any compression ratio."""
 MAX_DEPTH = 3

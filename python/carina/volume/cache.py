@@ -48,7 +48,7 @@ from carina.volume.voxel_file import DamagedFileError, VoxelName, draft_voxel_fi
 logger = logging.getLogger(__name__)
 
 MAX_BYTES = 20_000_000_000
-"""Largest size of all cached CTs in bytes; a tenth of the free disk is a second limit."""
+"""Maximum size of all cached CTs in bytes; a tenth of the free disk is a second limit."""
 MAX_AGE_S = 90 * 86_400.0
 """Time in s after its last use when a cached CT is deleted."""
 _SHARE_OF_FREE = 0.1

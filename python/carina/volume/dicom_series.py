@@ -36,13 +36,13 @@ from carina.volume.model import Note
 from carina.volume.progress import Watch
 
 _MAX_GRIDS = 50
-"""Largest number of grids in one series; bounds the time for a folder of images that are all different."""
+"""Maximum number of grids in one series; bounds the time for a folder of images that are all different."""
 
 _MAX_PAIRS = 10_000
-"""Largest number of pairs of series with and without a UID that are compared."""
+"""Maximum number of pairs of series with and without a UID that are compared."""
 
 _FEWEST_FRAMES = 3
-"""Smallest number of frames of reference of a series that stays undivided: two frames are two scans."""
+"""Minimum number of frames of reference of a series that stays undivided: two frames are two scans."""
 
 _PATIENT = [index for index, word in enumerate(IDENTITY.values()) if word == "patients"]
 

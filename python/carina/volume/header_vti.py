@@ -29,7 +29,7 @@ _TAG = re.compile(rb"<(/?)([A-Za-z][\w:.-]*)((?:\s+[\w:.-]+\s*=\s*(?:\"[^\"]*\"|
 _ATTRIBUTE = re.compile(r"([\w:.-]+)\s*=\s*(?:\"([^\"]*)\"|'([^']*)')")
 _MAX_TAGS = 4096
 _MAX_OTHER = 64
-"""Largest number of places that begin like a tag and are none; each is searched once, so the time is limited."""
+"""Maximum number of places that begin like a tag and are none; each is searched once, so the time is limited."""
 _MAX_TAG_BYTES = 1 << 16
 _MAX_HEAD_BYTES = 1 << 20
 _AGAIN = "save it again, for example from ParaView"

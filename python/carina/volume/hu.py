@@ -30,7 +30,7 @@ _INT16 = np.iinfo(np.int16)
 # Largest number of samples of the histogram. A share of 0.2 % is then 8,000 samples, and its error is about 1 % of it.
 _MAX_SAMPLES = 4_000_000
 MAX_DOUBTFUL_SHARE = 0.01
-"""Largest share of voxels that were clipped, or are in the body and not finite; above it, the values are not HU."""
+"""Maximum share of voxels that were clipped, or are in the body and not finite; above it, the values are not HU."""
 _TISSUE = -300  # above lung and air, below fat
 _STRETCHED_TOP = 4095  # 12 bits, as CT and MR scanners use
 

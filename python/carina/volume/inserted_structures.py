@@ -24,7 +24,7 @@ SECOND_CT_WORDS = (
 )
 """Note of a movement that was measured with a second CT with inserted structures."""
 MAX_INSERTED = 999
-"""Largest number of structures that are read from a file; a larger number in a header or a case counts as this one."""
+"""Maximum number of structures that are read from a file; a larger number in a header or a case counts as this one."""
 PICTURE_TEXT = "INSERTED NODULE: NOT THE PATIENT'S"
 """Text in saved pictures of such a CT."""
 _TAG = "CARINA-INSERTED"

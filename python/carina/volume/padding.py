@@ -27,7 +27,7 @@ from carina.volume.mask_parts import numbered_parts
 from carina.volume.model import Note
 
 AIR_HU = -1024
-"""Least value in HU that replaces padding: the lowest number of 12-bit CTs."""
+"""Minimum value in HU that replaces padding: the lowest number of 12-bit CTs."""
 _HARMLESS_HU = -1000
 _NO_TISSUE_HU = 30_710
 _CORNER_HU = 2000

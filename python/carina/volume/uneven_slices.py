@@ -26,11 +26,11 @@ from carina.volume.missing_slices import (
 from carina.volume.model import Note
 
 MIN_SLICES = 5
-"""Smallest number of slices that are resampled: in fewer slices one wrong position cannot be recognised."""
+"""Minimum number of slices that are resampled: in fewer slices one wrong position cannot be recognised."""
 MAX_RATIO = MAX_MISSING_IN_GAP + 1.0
-"""Largest distance of two measured slices, in distances of the even slices."""
+"""Maximum distance of two measured slices, in distances of the even slices."""
 MIN_RATIO = 0.2
-"""Smallest distance of two measured slices, in distances of the even slices; nearer slices are probably two scans."""
+"""Minimum distance of two measured slices, in distances of the even slices; nearer slices are probably two scans."""
 _GAP_RATIO = 1.75
 """Distance, in distances of the even slices, from which slices are missing between two measured slices."""
 _NUM_ALTERNATING = 6

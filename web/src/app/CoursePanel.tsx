@@ -24,7 +24,7 @@ import { useApp, useStation } from "./context";
 import { Act, Tip, useKeysBack } from "./controls";
 import { Icon } from "./icons";
 
-/** Largest length of a pseudonym. */
+/** Maximum length of a pseudonym. */
 const MAX_NAME = 40;
 
 /** Render the choice of the learner whose attempts are stored. */

@@ -20,7 +20,7 @@ const CONTROLS = [
   ["relative", "Relative", "The tip follows the hand's movement"],
   ["path", "Path", "The tip moves forward and back along the path; turning the device turns the view"],
 ] as const;
-/** Smallest number of point pairs for the registration of a tracker to the patient. */
+/** Minimum number of point pairs for the registration of a tracker to the patient. */
 const MIN_PAIRS = 3;
 
 /** Render the panel of input devices. */

@@ -40,7 +40,7 @@ interface Pointed {
 
 /** Time, ms, after the last cursor movement from which the path leads to the pen instead of the cursor. */
 const CURSOR_RESTS_MS = 1000;
-/** Largest distance between the last cursor position and a click, CSS px, at which the cursor position is used. */
+/** Maximum distance between the last cursor position and a click, CSS px, at which the cursor position is used. */
 const SHAKES_PX = 3;
 /** Factor of the distance from a branch at which a finger still selects the branch, compared with a mouse. */
 const FINGER_REACH = 3;

@@ -7,10 +7,10 @@ export interface PointerPlace {
   y: number;
 }
 
-/** Longest time between two clicks of a series, ms: the browsers' default for a double click. */
+/** Maximum time between two clicks of a series, ms: the browsers' default for a double click. */
 const SERIES_MS = 500;
 /**
- * Largest distance between two clicks of a series, CSS px. It is larger for a finger, which is less exact than a mouse.
+ * Maximum distance between two clicks of a series, CSS px. It is larger for a finger, which is less exact than a mouse.
  */
 const NEAR_PX = { mouse: 6, finger: 24 } as const;
 

@@ -41,7 +41,7 @@ function pairOf(fingers: ReadonlyMap<number, PointerPlace>): { middle: PointerPl
 
 /** Natural logarithm of the zoom factor per px of scrolling, as views apply it to a wheel. */
 export const ZOOM_PER_PX = 0.0015;
-/** Smallest distance of two fingers, px: below it, a small movement would zoom by a large factor. */
+/** Minimum distance of two fingers, px: below it, a small movement would zoom by a large factor. */
 const LEAST_APART_PX = 24;
 
 /** Return the scrolling, px, that zooms by the ratio of two distances between fingers; below 0 for spread fingers. */

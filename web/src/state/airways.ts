@@ -188,7 +188,7 @@ export interface OnwardBranch {
  * diameter of the child, so that the point is past the spur and before the next bend.
  */
 const OPENING_MM = { least: 4, most: 10 };
-/** Largest number of branches in a row in which the point of an opening is searched. */
+/** Maximum number of branches in a row in which the point of an opening is searched. */
 const OPENING_DEPTH = 4;
 /** A branch at a fork of the planned route, with its opening in the list of turns. */
 export interface TurnBranch {

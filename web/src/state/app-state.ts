@@ -772,7 +772,7 @@ function connectionChanged(state: AppState, connection: Connection): AppState {
   return { ...state, connection, jobs, pose, pen: null, local: NOTHING_LOCAL, ui: { ...state.ui, advancing: false } };
 }
 
-/** Largest number of notices in the list; older notices are removed. Errors stay until the user closes them. */
+/** Maximum number of notices in the list; older notices are removed. Errors stay until the user closes them. */
 const MAX_NOTICES = 3;
 
 function say(state: AppState, message: Omit<Message, "id">): AppState {

@@ -4,11 +4,11 @@ import { distance, type Vec3 } from "./vec";
 
 /** Distance in mm from the trainee's tip at which the expert's tip is shown ahead. */
 const AHEAD_MM = 10;
-/** Largest distance of the tip from the expert's path, mm, at which both are at the same place. */
+/** Maximum distance of the tip from the expert's path, mm, at which both are at the same place. */
 const SAME_PLACE_MM = 8;
 /** Distance beyond the nearest pass, mm, up to which another pass of the expert is also at this place. */
 const OTHER_PASS_MM = 3;
-/** Smallest distance in mm between two stored points of the expert's path. */
+/** Minimum distance in mm between two stored points of the expert's path. */
 const APART_MM = 1;
 
 /** Positions of the expert's tip in the order of time, without repeated ones. */

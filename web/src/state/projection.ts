@@ -166,7 +166,7 @@ function throughLens(lens: PictureLens, x: number, y: number, z: number): PixelP
 }
 
 /**
- * Largest angle between the viewing direction and a drawn line, rad. A line behind a fisheye camera would cross the
+ * Maximum angle between the viewing direction and a drawn line, rad. A line behind a fisheye camera would cross the
  * whole picture; 120 degrees is beyond every corner.
  */
 const WIDEST_LINE_RAD = (120 * Math.PI) / 180;

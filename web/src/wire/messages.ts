@@ -16,7 +16,7 @@ export const CLOSE_CODES = {
   "protocol.watching-ended": 4410,
 } as const;
 
-/** Largest angle of an opening straight ahead, degrees; least ratio of the other openings' angles to it. */
+/** Maximum angle of an opening straight ahead, degrees; minimum ratio of the other openings' angles to it. */
 export const STRAIGHT_AHEAD = { most_deg: 6.0, times: 2.0 } as const;
 
 /** 4x4, row-major. */

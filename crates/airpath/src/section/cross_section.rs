@@ -23,9 +23,9 @@ use crate::section::rays::{
 use crate::tree::smooth::Point;
 use carina_leastcost::{TrackError, Watch};
 
-/// Smallest fraction of rays that must show the far side of the wall; with fewer, no wall thickness is reported.
+/// Minimum fraction of rays that must show the far side of the wall; with fewer, no wall thickness is reported.
 pub const MIN_WALL_SHARE: f64 = 0.3;
-/// Largest thickness of an airway's wall, mm; a larger measured thickness includes tissue that touches the wall.
+/// Maximum thickness of an airway's wall, mm; a larger measured thickness includes tissue that touches the wall.
 pub const THICKEST_WALL_MM: f64 = 3.0;
 /// Distance between the centre of the rays and that of the lumen found, in voxels, below which no further cast is
 /// needed.

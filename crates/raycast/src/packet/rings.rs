@@ -17,7 +17,7 @@ shared_constants! {
     const HALF_WIDTH: f32 = 0.34;
     /// Width of a cartilage ring's soft edge, as a fraction of the distance between rings.
     const EDGE: f32 = 0.24;
-    /// Largest displacement of regular and of irregular cartilage rings, as a fraction of the distance between rings.
+    /// Maximum displacement of regular and of irregular cartilage rings, as a fraction of the distance between rings.
     const STRAY: [f32; 2] = [0.09, 0.30];
     /// Cosines of the angle from the middle of the airway's back at which the membranous wall begins and is complete.
     ///
@@ -53,7 +53,7 @@ shared_constants! {
     const AT_FORK: f32 = 1.3;
     /// Lower bound, in radii, of the distance from the axis by which the position on the back is divided.
     const LEAST_OFF: f32 = 0.05;
-    /// Largest displacement of the edges of the membranous wall by the mottling noise, in cosines of the angle from the
+    /// Maximum displacement of the edges of the membranous wall by the mottling noise, in cosines of the angle from the
     /// back.
     const RAGGED: f32 = 0.06;
     /// Lower bound of the cosine between wall and viewing direction by which the width of a pixel is divided.

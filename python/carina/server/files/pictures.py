@@ -22,7 +22,7 @@ from carina.volume import badges_of
 
 SIDES_PX = (16, 8192)
 UPDATE_S = 20.0
-"""Longest time in s to wait until the renderer shows the newest airways and transfer function."""
+"""Maximum time in s to wait until the renderer shows the newest airways and transfer function."""
 LOOK_S = 0.05
 """Time in s between two checks whether the renderer shows them."""
 DISCONNECT_CHECK_S = 0.2

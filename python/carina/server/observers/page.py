@@ -40,7 +40,7 @@ MAX_WATCHERS = 4
 """Maximum number of observers; the windows of the workstation are not counted."""
 MAX_MESSAGE_BYTES = 8192
 MAX_BYTES_PER_S = 65_536
-"""Largest number of bytes per s that one observer may send; 600 messages have about 50,000 bytes."""
+"""Maximum number of bytes per s that one observer may send; 600 messages have about 50,000 bytes."""
 WRONG_TOKEN_WAIT_S = 0.5
 CLOSE_TIMEOUT_S = 1.0
 """Time in s during which observers can receive the reason before the page closes."""

@@ -46,7 +46,7 @@ MESSAGES_PER_S = 600.0
 """Sustained message limit. With a moving crosshair a 240 Hz page sends 240 positions, 240 probes and 90 acks per s."""
 MESSAGES_AT_ONCE = 1200.0
 INBOX_SHARE = 0.05
-"""Largest share of the event loop's time for messages of an observer; one message takes up to a millisecond."""
+"""Maximum share of the event loop's time for messages of an observer; one message takes up to a millisecond."""
 READ_ONLY = (wire.Ack, wire.Layout, wire.Probe, wire.Pick, wire.AskBranchDetail)
 """Messages, besides commands, that an observer may send; the session refuses commands that are not on its own view."""
 

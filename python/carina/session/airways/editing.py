@@ -38,7 +38,7 @@ NUM_EDITS_WHOLE = 6
 Other ones are packed to save memory.
 """
 MAX_RENAMINGS_LISTED = 6
-"""Largest number of renamed branches that the message after an edit lists."""
+"""Maximum number of renamed branches that the message after an edit lists."""
 LOOK_S = 0.05
 """Interval, in s, at which an edit that waits for an earlier edit checks whether it was stopped."""
 

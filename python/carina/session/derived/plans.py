@@ -47,7 +47,7 @@ if TYPE_CHECKING:
     from carina.volume.dicom_references import References
 
 MAX_SHOWN = 36
-"""Largest number of voxels along a side of a nodule's displayed surface; finer detail is not visible."""
+"""Maximum number of voxels along a side of a nodule's displayed surface; finer detail is not visible."""
 SAME_PLACE_MM = 0.05
 PAIRS_PER_MESSAGE = 6
 """Number of verdicts on pairs after which the windows are notified, if no instrument reaches before."""

@@ -38,11 +38,11 @@ if TYPE_CHECKING:
 logger = logging.getLogger(__name__)
 
 DECIDED_WITHIN_S = 0.4
-"""Longest delay, in s, before a user's change is written; later changes within this time are written with it."""
+"""Maximum delay, in s, before a user's change is written; later changes within this time are written with it."""
 MOVED_WITHIN_S = 1.5
-"""Longest delay, in s, before a moved tip is written while nothing else changes."""
+"""Maximum delay, in s, before a moved tip is written while nothing else changes."""
 RECORDED_WITHIN_S = 0.8
-"""Longest delay, in s, before new lines of a running recording are written: a crash loses at most its last second."""
+"""Maximum delay, in s, before new lines of a running recording are written: a crash loses at most its last second."""
 RETRY_S = 2.0
 SLOW_S = 2.5
 """Time, in s, after which a disk that does not respond is reported and callers stop waiting for it."""

@@ -33,7 +33,7 @@ NOT_A_FILE: Final = "not a regular file"
 MAX_LABEL = 80
 OPEN_TRIES = 4
 MAX_NAME_BYTES = 247
-"""Longest name of a file beside the named file: most file systems allow 255 bytes, of which a journal needs 8 more."""
+"""Maximum length in bytes of the name of a file beside the named file: most file systems allow 255 bytes, of which a journal needs 8 more."""
 
 
 @one_line

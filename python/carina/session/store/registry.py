@@ -46,7 +46,7 @@ FORGOTTEN = ".forgotten"
 """Name of the folder of forgotten cases, beside the other cases; a forgotten case can be restored for a day."""
 MAX_RECORD_BYTES: Final = 1 << 20
 MAX_S: Final = 1e11
-"""Largest time in a record, in seconds since 1970 (year 5138), which every clock and calendar can show."""
+"""Maximum time in a record, in seconds since 1970 (year 5138), which every clock and calendar can show."""
 MAX_TITLE_CHARS: Final = 1000
 MAX_PLACE_CHARS: Final = 4096
 FORGOTTEN_FOR_S = 24 * 3600.0

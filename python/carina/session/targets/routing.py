@@ -20,7 +20,7 @@ from carina.session.state.snapshot import UserMessage
 from carina.session.targets.retrack import NO_START, needed_target, searched_target, tracked_target
 
 IN_LUMEN_MM = 0.05
-"""Largest distance in mm by which a point is moved into the lumen that counts as rounding."""
+"""Maximum distance in mm by which a point is moved into the lumen that counts as rounding."""
 
 
 @one_line

@@ -56,9 +56,9 @@ if TYPE_CHECKING:
 SAMPLE_S = 0.05
 """Time in s between two samples of the tip's pose that the score of a running attempt uses."""
 SCORE_S = 1.0
-"""Least time in s between two computations of the score of a running attempt."""
+"""Minimum time in s between two computations of the score of a running attempt."""
 PAUSE_SHARE = 10.0
-"""Smallest ratio of the time between two scores of the running attempt to the time that a score takes."""
+"""Minimum ratio of the time between two scores of the running attempt to the time that a score takes."""
 ENTRY_MM = 5.0
 """Insertion at which an attempt begins, so that the trachea's cut end is not in the picture."""
 NOT_STORED = "this case is not stored on this machine, so the flight of a task cannot be recorded: save the case first"

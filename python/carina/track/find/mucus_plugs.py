@@ -64,11 +64,11 @@ USUAL_WALL_MM = 1.2
 CROSS = (0.25, 0.4, 0.5, 0.6, 0.75)
 """Positions of the examined cross-sections along a filling, as fractions of its length."""
 MAX_OUTER_MM = 9.0
-"""Largest distance in mm from the axis of a filled bronchus at which its border is searched."""
+"""Maximum distance in mm from the axis of a filled bronchus at which its border is searched."""
 MIN_AIR = 0.15
-"""Least share of air in a filled bronchus that counts as air; less may be fat, noise, or blur."""
+"""Minimum share of air in a filled bronchus that counts as air; less may be fat, noise, or blur."""
 MIN_CROSS = 2
-"""Least number of sections across the filling in which the border of the bronchus must be visible."""
+"""Minimum number of sections across the filling in which the border of the bronchus must be visible."""
 ALIKE = 1.4
 """Maximum ratio between the widths of sections of one lumen; beyond it, a section cuts the end or a fork."""
 FINE_MM, FINE_VOX, FINE_SLICES = 2.5, 3.0, 2.0

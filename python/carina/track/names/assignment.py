@@ -35,7 +35,7 @@ CALIBRE_ANY = 0.5
 CALIBRE_INSIDE = math.log(0.7)
 """Log of the usual radius of an airway inside a segment, relative to the radius of the segment's bronchus."""
 MAX_FORKS = 11
-"""Largest number of forks from the root up to which states are assigned to bronchi; RB10 may be the eighth bronchus."""
+"""Maximum number of forks from the root up to which states are assigned to bronchi; RB10 may be the eighth bronchus."""
 TEMPER = 0.6
 DIVISION = -0.8
 """Log probability penalty of each division of a set of segments at a fork.
@@ -55,7 +55,7 @@ def _log_peak(kappa: Array | float) -> Array:
 STUMP_MM = 2.5
 """Radius in mm from which a short end of a bronchus counts as a stump (after a resection, or before a plug)."""
 STUMP_SHARE = 0.55
-"""Least ratio of a stump's radius to its parent's radius.
+"""Minimum ratio of a stump's radius to its parent's radius.
 
 A short blind bronchus of this width is not a twig but the rest of a lost bronchus.
 """
