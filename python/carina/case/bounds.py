@@ -130,7 +130,7 @@ def bounded_array(values: NDArray[Any], where: str, low: float, high: float) -> 
 
 
 def check_ascending(values: NDArray[Any] | tuple[float, ...], where: str) -> None:
-    """Raise an error if positions are not in ascending order.
+    """Raise an error unless positions along a path are in ascending order.
 
     Parameters
     ----------

@@ -272,7 +272,7 @@ class RecordingWriter(io.TextIOBase):
 
     @property
     def recording_id(self) -> int:
-        """Number of the recording in the case file."""
+        """Number that identifies the recording in the case file."""
         if self._recording_id is None:
             raise UsageError("no part of this recording has been saved in a case file yet", code="case.write_recording")
         return self._recording_id
@@ -283,7 +283,7 @@ class RecordingWriter(io.TextIOBase):
         return self._is_complete
 
     def writable(self) -> bool:
-        """Return True: lines can be written."""
+        """Return True, because lines can be written to this file object."""
         return True
 
     def write(self, text: str) -> int:

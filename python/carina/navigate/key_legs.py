@@ -71,7 +71,7 @@ class AirwayWay:
 
 @dataclass(slots=True, eq=False)
 class Leg:
-    """Leg from one key frame to the next.
+    """Leg, the part of a flight from one key frame to the next.
 
     Positions depend on the distance flown; directions depend on the distance and the fraction of the time.
     """
@@ -186,7 +186,7 @@ def _through_space(n: int, at: Points, poses: Sequence[Points], airways: Sequenc
     knot = math.sqrt(length)
 
     def slope(beyond: int, leg_beyond: int, tangent_at: int) -> Points:
-        """Return the slope of the curve at one end of a leg, per knot interval.
+        """Return the slope of the flight curve at one end of a leg, per knot interval.
 
         ``beyond`` is the next key frame outside the leg, and ``leg_beyond`` the leg to it. If that leg follows an
         airway, its tangent at index ``tangent_at`` gives the slope.

@@ -49,7 +49,7 @@ Start = Callable[[Callable[[], None]], None]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _DeviceScene:
-    """Copy of a scene in device memory, with the arrays from which it was made."""
+    """Copy of a scene in the graphics device's memory, with the arrays from which it was copied."""
 
     adapter: Adapter
     values: NDArray[np.int16]
@@ -153,7 +153,7 @@ class DeviceCaster:
             self._slower, self._compared = [], []
 
     def _compare_again(self, seconds_per_pixel: float) -> None:
-        """Add a picture of the CPU to the comparison, and decide after enough of them.
+        """Compare one more picture of the CPU with the device's; decide about the device after enough pictures.
 
         These are pictures of the same flight as the device's. The measurement before the choice repeats one view, in
         which a device has every slope already.
@@ -177,7 +177,7 @@ class DeviceCaster:
         )
 
     def count_cpu_picture(self, scene: Scene, view: AirwayView, seconds: float) -> None:
-        """Count a whole picture that the CPU has rendered in a number of seconds.
+        """Record that the CPU rendered a whole picture in a number of seconds.
 
         In ``auto``, start the measurement of the adapters after some pictures.
         """

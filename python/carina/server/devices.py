@@ -90,7 +90,7 @@ class DeviceConnections:
         self._sources: dict[str, Source] = {}
         self._publisher: IgtlServer | None = None
         self._watching: set[int | None] = set()
-        """Numbers of the windows that have subscribed to the values of devices."""
+        """Numbers of the windows that receive the device values a few times a second."""
         self._shown_s = 0.0
         self._sent_pen: wire.Pen | None = None
         self._ports: tuple[tuple[str, ...], str | None] = ((), None)

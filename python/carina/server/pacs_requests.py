@@ -328,7 +328,7 @@ FOR_WINDOW = (
     ("enter them again with `carina pacs add`", "enter them again under Edit"),
     ("add it with `carina pacs add`", "add it"),
 )
-"""Actions on the command line, and the same actions in the window."""
+"""Texts of actions on the command line, and of the same actions in the window."""
 
 
 def text_for_window(words: str) -> str:
@@ -339,7 +339,7 @@ def text_for_window(words: str) -> str:
 
 
 def _kind(task: wire.PacsTask, window: int) -> str:
-    """Return the kind of a window's job; a new job stops only a job of the same window."""
+    """Return the kind of a window's PACS job; a new job stops only a job of the same kind."""
     return f"pacs-{task}-{window}"
 
 

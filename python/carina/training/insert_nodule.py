@@ -45,7 +45,7 @@ WALL_MARGIN_MM, AIRWAY_WALL_MM = 1.0, 1.2
 VESSEL_MM3 = 4.0
 """Volume in mm3 of soft tissue inside the nodule from which the nodule overlaps a vessel."""
 BARE_AIR_HU = -970.0
-"""Median density in HU below which a position is in air without lung tissue, so that no nodule is inserted."""
+"""Median density in HU below which a place contains air without lung tissue, so that it gets no nodule."""
 MAX_TRIES = 4000
 TRIAL_POINTS, TRIAL_SOFT_SHARE = 400, 0.2
 """Number of points in a nodule at which a random position is tried first, and largest share of soft tissue there."""

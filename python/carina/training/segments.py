@@ -102,7 +102,7 @@ def segments_of_case(tree: AirwayTree) -> tuple[CaseSegment, ...]:
 
 
 def needed_branches(tree: AirwayTree, names: Sequence[str], *, task: str) -> tuple[Branch, ...]:
-    """Return the branches of all names.
+    """Return the branches that have any of the given names.
 
     Raises
     ------

@@ -25,13 +25,13 @@ STATION_MM = 10.0
 STATION_DEG = 45.0
 """Maximum angle in degrees between the tip's upward direction and the direction of the station."""
 STATION_S = 1.0
-"""Time in s for which both hold without a break when the station is located."""
+"""Time in s for which the tip must be near a landmark and see it without interruption for its station to be located."""
 REACH_MM = 5.0
 """Maximum distance in mm of the tip from its planned position at which the target counts as reached."""
 REACH_DEG = 30.0
 """Maximum angle in degrees between the tip's direction and the line from the tip to the aim in the target."""
 REACH_S = 1.0
-"""Time in s for which both hold without a break when the target is reached."""
+"""Time in s for which the tip must be at its position and point at the target for the target to count as reached."""
 TARGET = "planned target"
 
 

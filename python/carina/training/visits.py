@@ -18,9 +18,9 @@ from carina.training.openings_in_sight import OpeningSights
 from carina.training.task import RevisitRule
 
 SEEN_S = 0.5
-"""Time in s for which an opening is in sight without a break when it is seen."""
+"""Time in s for which an opening must be in sight without interruption to count as seen."""
 VISIT_S = 1.0
-"""Time in s for which an opening is held in the middle of the picture without a break when it is visited."""
+"""Time in s for which an opening must stay in the middle of the picture without interruption to count as visited."""
 MIDDLE = 0.5
 """Maximum distance from the middle of the picture, in radii of the picture, at which an opening is in the middle."""
 

@@ -96,7 +96,7 @@ class TokenGate:
         self.num_refused = 0
 
     def admits(self, token: str) -> bool:
-        """Return whether a token is that of the link; count a wrong token."""
+        """Return whether a token is that of the observers' link; count a wrong token."""
         if token.isascii() and secrets.compare_digest(token, self.token):
             return True
         self.num_refused += 1

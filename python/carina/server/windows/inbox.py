@@ -38,7 +38,7 @@ NEWEST_ONLY = (
     wire.AskBranchDetail,
     wire.Layout,
 )
-"""Message types of which the first of two consecutive messages, with equal ``view`` if they have one, is dropped."""
+"""Types of messages that replace the message before, if it has the same type and (where they have one) ``view``."""
 
 
 class Inbox:

@@ -206,7 +206,7 @@ class KeyFrameHandlers(CommandHandlers):
 
     @answers(c.KeyFrameFileQuery)
     def key_frames_to_take_away(self, _question: c.KeyFrameFileQuery) -> KeyFrameFile:
-        """Return the file content of the key frames, which ``carina fly`` renders."""
+        """Return the content of a file with the key frames, from which ``carina fly`` renders a video."""
         case = self.core.needed_case()
         with self.core.lock:
             document, sight = case.document, case.sight

@@ -186,7 +186,7 @@ class LocalStore:
         return value
 
     def _move_aside(self, path: Path) -> None:
-        """Rename an unreadable file to a name that Carina does not read."""
+        """Rename an unreadable settings file, so that Carina no longer reads it."""
         number = 1
         while (target := path.with_name(f"{path.stem}.damaged-{number}{path.suffix}")).exists():
             number += 1

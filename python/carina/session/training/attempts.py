@@ -60,7 +60,7 @@ SCORE_S = 1.0
 PAUSE_SHARE = 10.0
 """Minimum ratio of the time between two scores of the running attempt to the time that a score takes."""
 ENTRY_MM = 5.0
-"""Insertion at which an attempt begins, so that the trachea's cut end is not in the picture."""
+"""Insertion in mm of the scope at which an attempt begins, so that the trachea's cut end is not in the picture."""
 NOT_STORED = "this case is not stored on this machine, so the flight of a task cannot be recorded: save the case first"
 AIRWAYS_CHANGED = "the airways have changed"
 SCOPE_REMOVED = "the scope was taken out of the airways"
@@ -101,7 +101,7 @@ class _CaseTraining:
     scores: dict[int, Score] = field(default_factory=dict)
     """Score of each flight that was scored since the case was opened, by its number."""
     comparisons: dict[int, FlightComparison] = field(default_factory=dict)
-    """Comparison of each such flight with the expert's, by its number."""
+    """Comparison of each scored flight with the expert's, by the flight's number."""
 
 
 class TrainingHandlers(CommandHandlers):
@@ -218,7 +218,7 @@ class TrainingHandlers(CommandHandlers):
             case.wall.want(airways, then=lambda _: self._begin(case, airways, task, learner))
 
     def _begin(self, case: OpenCase, airways: Airways, task: Task, learner: str | None) -> None:
-        """Insert the scope and start the recording; the caller holds the session's lock.
+        """Insert the scope into the trachea and start the recording; the caller holds the session's lock.
 
         Parameters
         ----------
@@ -334,7 +334,7 @@ class TrainingHandlers(CommandHandlers):
         return True
 
     def _note_running(self, attempt: LiveAttempt) -> None:
-        """Pass on the state of an attempt to teachers; the caller holds the session's lock.
+        """Send the state of an attempt to teachers; the caller holds the session's lock.
 
         With the lock, a state is never passed on after the end of its attempt.
         """
