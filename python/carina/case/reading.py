@@ -60,7 +60,7 @@ from carina.volume import Note, Volume
 Rows = dict[str, dict[int, tuple[Any, ...]]]
 """Cache of the columns of content rows, except their id, by table name and row id."""
 BOUNDS: Final = {"f8": (-MAX_MM, MAX_MM), "i8": (-1, 2**31), "u4": (0, 2**32)}
-"""Minimum and maximum number in a stored array, by its type code."""
+"""Minimum and maximum number in a stored array, by the array's type code."""
 LENGTH_MM: Final = (0.0, MAX_MM)
 NO_TREES: Final = 4
 """Maximum number of airway trees that stay in memory while airways are read: that of a base and those of its edits."""

@@ -70,7 +70,7 @@ class CtImages:
 
     slices: tuple[SliceHeader, ...]
     first: Dataset
-    """Data set of the first slice, without texts in an unknown character set."""
+    """Data set of the CT's first slice, without texts in an unknown character set."""
     doubtful: frozenset[str] = frozenset()
     """Keywords of the texts that were left out of ``first``."""
 

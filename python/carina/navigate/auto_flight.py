@@ -13,7 +13,7 @@ from carina.navigate.flight_path import FlightPath
 from carina.scopes import Pose
 
 MAX_DURATION_S = 86_400.0
-"""Maximum duration of a flight, one day: a longer one is an input error, and its frames do not fit in memory."""
+"""Maximum duration of a flight, one day; a longer one is an input error, and its frames do not fit in memory."""
 
 
 class AutoFlight:

@@ -35,7 +35,7 @@ MAX_LINE = 64 << 20
 TaskOutcome = Literal["completed", "stopped", "time-limit", "interrupted"]
 """End of an attempt at a task: completed, stopped by the user, at the time limit, or for another reason."""
 MAX_LENGTH_S = 1e7
-"""Maximum duration of a recording in seconds: four months."""
+"""Maximum duration of an accepted recording in seconds: four months."""
 
 
 def case_key(volume: Volume) -> dict[str, Any]:

@@ -32,7 +32,7 @@ _FEWEST_IMAGES = 20
 @one_line
 @dataclass(frozen=True, slots=True)
 class SeriesPreview:
-    """Facts of a series that only its images state, from its middle image."""
+    """Properties of a series that only its images state, read from the middle image."""
 
     info: SeriesInfo | None = None
     """Thickness, kernel, phase and date, and no number of slices; None if the image cannot be read."""

@@ -35,7 +35,7 @@ CELL_MM = 2.5
 The ridge of a fork is one cell wide.
 """
 REACH = 1.6
-"""Maximum distance of a wall from the centreline, in radii; the kernel draws no rings on walls beyond it."""
+"""Maximum distance from the centreline, in radii, of a wall on which rings are drawn."""
 SMOOTH_MM = 3.0
 """Length of the smoothing of the centreline, mm: below the radius of airways with rings, above a voxel."""
 BLEND = 0.08

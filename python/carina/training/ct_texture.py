@@ -56,7 +56,7 @@ TREND_MM = 9.0
 LOCAL_MM = 4.0
 """Standard deviation in mm of the window in which the local deviation is measured."""
 LAG_MM = 6.0
-"""Maximum distance in mm of two voxels whose covariance is measured; beyond one half of it the covariance fades."""
+"""Maximum distance in mm of voxel pairs whose covariance is measured; from half of it on, the covariance fades to 0."""
 MOST_SPREAD = 4.0
 """Maximum deviation from the local mean, in standard deviations; calcifications and strands of fat are left out."""
 LEAST_VOXELS = 1500

@@ -17,7 +17,7 @@ from carina.training.handling import CentrelineIndex
 from carina.training.score import Score
 
 ALIGN_MM = 2.0
-"""Maximum distance in mm along a branch between two tip positions that count as the same place."""
+"""Maximum distance in mm along a branch between the tips of two flights that count as at one place."""
 PATH_STEP_MM = 0.5
 """Distance in mm between the points of the expert's path from which the deviation is measured."""
 MAX_PATH_POINTS = 40_000

@@ -24,11 +24,11 @@ PICTURE_PX = 64
 MIN_PICTURE_SHARE = 0.01
 """Share of the picture's pixels below which an unoccluded opening does not count as in sight."""
 MIN_CLEAR_SHARE = 0.5
-"""Minimum share of a seen opening's area that is in the picture and not hidden by the wall."""
+"""Minimum share of an opening's area, in the picture and not hidden by the wall, of an opening in sight."""
 DISK_POINTS = 200
 """Number of points, spread evenly over an opening, from which its visible share is counted."""
 MAX_RED_OUT = 0.5
-"""Maximum red-out (0 to 1, from the nearness of the wall) at which openings count as in sight; see `red_out`."""
+"""Maximum red-out (share of the picture that touches the wall) at which openings count as in sight; see `red_out`."""
 LINE_STEP_MM = 0.5
 """Distance in mm between the points of a line of sight at which the lumen is checked."""
 BEFORE_OPENING_MM = 1.0

@@ -250,7 +250,7 @@ def _share_of_body(values: NDArray[np.generic]) -> float:
 
 
 def _is_enclosed(tissue: NDArray[np.bool_], axis: int) -> NDArray[np.bool_]:
-    """Return where tissue is on both sides along an axis, or in the voxel itself."""
+    """Return where tissue is on both sides along an axis, or where the voxel itself is tissue."""
     lines = tissue if axis == 1 else tissue.T
     first = lines.argmax(axis=1)
     last = lines.shape[1] - 1 - lines[:, ::-1].argmax(axis=1)

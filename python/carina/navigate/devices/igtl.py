@@ -24,7 +24,7 @@ EXTENDED = struct.Struct(">HHII")
 MAX_POSE_BYTES = 1 << 16
 """Maximum accepted size in bytes of a message with poses: 1,300 tools of QTDATA."""
 MAX_BODY_BYTES = 64 << 20
-"""Maximum size in bytes of a skipped message; a larger one means that the stream is corrupt."""
+"""Maximum size in bytes of a message that is skipped; a larger one means that the stream is corrupt."""
 POSE_TYPES = {"TRANSFORM", "POSITION", "QTDATA"}
 _QT_ELEMENT = struct.Struct(">20sBB7f")
 _PYIGTL_POINT = struct.Struct(">64s32s4B3f4ff20s")

@@ -283,7 +283,7 @@ class FrameBudget:
         return self._finding and now_s >= self._probe_due_s
 
     def probe_scale(self, pixels: int) -> float:
-        """Return the factor on both sides of the full picture that gives the size of a probe."""
+        """Return the ratio of the sides of a probe (a small picture that measures the speed) to the full picture's."""
         last = self.levels[-1]
         expected_s = self.predicted_s(len(self.levels) - 1, pixels)
         return last.scale * min(1.0, math.sqrt(PROBE_S / expected_s)) if expected_s > 0.0 else last.scale

@@ -33,7 +33,7 @@ from carina.session.store.registry import CaseRecord, CaseRecords
 from carina.volume import VolumeCache
 
 OWNED_WITHIN_S = 20.0
-"""Maximum time, in s, for taking over a case whose former owner may hold its lock while it writes the last changes."""
+"""Maximum time in s to take over a case whose former owner still writes the last changes."""
 DOOR_WITHIN_S = 3.0
 LOOK_EVERY_S = 0.05
 CLOCKS_S = 0.1

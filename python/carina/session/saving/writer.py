@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 logger = logging.getLogger(__name__)
 
 DECIDED_WITHIN_S = 0.4
-"""Maximum delay, in s, before a user's change is written; later changes within this time are written with it."""
+"""Maximum delay in s before a user's change is written, together with later changes in this time."""
 MOVED_WITHIN_S = 1.5
 """Maximum delay, in s, before a moved tip is written while nothing else changes."""
 RECORDED_WITHIN_S = 0.8

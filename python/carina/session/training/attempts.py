@@ -58,7 +58,7 @@ SAMPLE_S = 0.05
 SCORE_S = 1.0
 """Minimum time in s between two computations of the score of a running attempt."""
 PAUSE_SHARE = 10.0
-"""Minimum ratio of the time between two scores of the running attempt to the time that a score takes."""
+"""Minimum time between two scores of the running attempt, as a multiple of the time that one score takes."""
 ENTRY_MM = 5.0
 """Insertion in mm of the scope at which an attempt begins, so that the trachea's cut end is not in the picture."""
 NOT_STORED = "this case is not stored on this machine, so the flight of a task cannot be recorded: save the case first"
