@@ -15,7 +15,7 @@ use carina_grid::{Grid, length};
 use crate::TrackError;
 use crate::dijkstra::least_costs_by;
 
-/// Number of the voxel itself among the 27 voxels of its neighbourhood.
+/// Index of the voxel itself among the 27 voxels of its 3x3x3 neighbourhood.
 pub(crate) const HERE: usize = 13;
 
 /// Number of quanta of the cheapest step with a cost above 0.
@@ -457,7 +457,7 @@ pub struct Quanta<C> {
     pub(crate) scale: [[f32; 4]; 9],
     pub(crate) cheapest: f32,
     pub(crate) dearest: f32,
-    /// Smallest weight above 0 in the field.
+    /// Minimum weight above 0 in the field.
     pub(crate) least: f32,
     /// Number of open voxels of the field.
     pub num_open: usize,

@@ -38,7 +38,7 @@ pub struct FieldTracker<C: StepCost> {
     pub(crate) queue: Buckets,
     /// Reused buffer of [`FieldTracker::touch`] for the nodes that it changed.
     pub(crate) touched: Vec<Touch>,
-    /// Nodes first reached from the front bucket; they are closed when that bucket is empty.
+    /// Nodes first reached from the first bucket; they are marked as final when that bucket is empty.
     pub(crate) closing: Vec<u32>,
     pub(crate) num_settled: usize,
     /// Whether every node that a path can reach is settled.

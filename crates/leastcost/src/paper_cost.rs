@@ -96,7 +96,7 @@ pub fn wall_weight(gradient_share: [f64; 2], laplacian: [i32; 2]) -> f64 {
 pub enum Reading {
     /// The formula printed in 6.2: walls are cheap.
     Printed,
-    /// The meaning that 6.3 requires: walls are expensive.
+    /// The formula with the meaning that 6.3 requires: walls are expensive.
     Walls,
 }
 
@@ -130,7 +130,7 @@ impl Reading {
     }
 }
 
-/// Return the gradient that the share [`CLIPPED_SHARE`] of the voxels does not exceed.
+/// Return the quantile [`CLIPPED_SHARE`] of the gradients of the volume's voxels.
 ///
 /// The accuracy is 1 / 16384 of the largest gradient, `greatest`.
 fn clipped_gradient(

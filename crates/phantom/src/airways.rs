@@ -53,7 +53,7 @@ impl Branch {
             .sum()
     }
 
-    /// Return centre and radius of a ball that contains the whole branch, including its wall.
+    /// Return the centre and radius of a ball that contains the whole branch with its wall.
     fn ball(&self) -> ([f64; 3], f64) {
         let middle = self.points[self.points.len() / 2];
         let reach = self
@@ -201,7 +201,7 @@ impl AirwayTree {
         });
     }
 
-    /// Divide the trachea where a tracheal bronchus arises; both parts have the trachea's name.
+    /// Divide the trachea at the origin of a tracheal bronchus; both pieces keep the trachea's name.
     fn divide_trachea(&mut self) {
         let upper = &mut self.branches[0];
         let at = upper

@@ -135,7 +135,7 @@ impl Axis {
         }
     }
 
-    /// Move the axis along itself by `by_mm`: each node follows the path of the nodes before it.
+    /// Move the axis by `by_mm` along itself: each node moves on the line through the nodes before it.
     pub(crate) fn shift(&mut self, entry: &Entry, depth_mm: f64, by_mm: f64) {
         let share = (by_mm.abs() / NODE_MM).min(1.0);
         let old = &self.nodes;
@@ -206,7 +206,7 @@ impl Axis {
         }
     }
 
-    /// Return the second difference of the nodes' positions in the rest shape at each node.
+    /// Return the second difference of the node positions in the unloaded (rest) shape, for each node.
     fn rest(&self, body: &ScopeBody, ups: &[Point], flexion_rad: f64) -> Vec<Point> {
         let (rigid, num) = (body.rigid_nodes(), body.bending_nodes());
         let bow = 2.0 * NODE_MM * libm::sin(0.5 * flexion_rad / num as f64);

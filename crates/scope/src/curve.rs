@@ -163,7 +163,7 @@ impl FlightCurve {
         self.step_mm
     }
 
-    /// Return a frame at each knot whose +z is the curve's own direction, not the gaze.
+    /// Return a frame at each knot whose +z axis is the tangent of the curve, not the direction of view.
     ///
     /// Right and down span the plane across the airway.
     ///

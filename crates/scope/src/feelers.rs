@@ -17,7 +17,7 @@ const APART_MM: f64 = 0.36;
 ///
 /// A ridge penetrates between them by at most 0.03 mm for the thinnest tip.
 const AXIS_MM: f64 = 0.4;
-/// Gap between the balls and the wall, mm.
+/// Gap that remains between the balls of the tip's surface and the wall, mm.
 ///
 /// At an edge of the wall the interpolated field is some hundredths of a millimetre too large, and a ridge penetrates
 /// between balls by as much.
@@ -42,7 +42,7 @@ pub(crate) struct Feeler {
     pub(crate) radius: f64,
 }
 
-/// Group of consecutive balls, of which the leader is the first.
+/// Group of consecutive balls of the tip's surface; the first ball represents the group.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Group {
     first: usize,

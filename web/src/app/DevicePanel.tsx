@@ -135,7 +135,7 @@ function Movement({ message }: { message: DevicesMessage }) {
   );
 }
 
-/** Render the offset between the pen and the tip in absolute movement; nothing once the tip is at the pen. */
+/** Render the offset between pen (stylus) and tip while the pen positions the tip absolutely; nothing at the pen. */
 function PenOffset() {
   const station = useStation();
   const words = useApp((state) => penOffText(state.pen));
@@ -186,7 +186,7 @@ function HeadsetGroup() {
   );
 }
 
-/** The calibration of one device while the user collects its point pairs. */
+/** Calibration of one device, for which the user has begun to collect point pairs. */
 interface Begun {
   readonly isOpen: boolean;
   readonly pairs: readonly CalibrationPair[];

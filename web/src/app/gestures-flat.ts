@@ -122,7 +122,7 @@ export function flatPlacing(station: Workstation, viewport: Viewport): FlatPlaci
   };
 }
 
-/** Shorter side of a slice that {@link showPlace} zooms to, mm: an airway with its surroundings. */
+/** Shorter side of the part of a slice that {@link showPlace} shows, mm: an airway with its surroundings. */
 const PLACE_MM = 40;
 
 /**

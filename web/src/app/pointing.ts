@@ -40,9 +40,9 @@ interface Pointed {
 
 /** Time, ms, after the last cursor movement from which the path leads to the pen instead of the cursor. */
 const CURSOR_RESTS_MS = 1000;
-/** Maximum distance between the last cursor position and a click, CSS px, at which the cursor position is used. */
+/** Maximum distance, CSS px, between the last cursor position and a click for which the click uses that position. */
 const SHAKES_PX = 3;
-/** Factor of the distance from a branch at which a finger still selects the branch, compared with a mouse. */
+/** Ratio of the maximum distances from a branch at which a finger and a mouse select the branch. */
 const FINGER_REACH = 3;
 
 /**

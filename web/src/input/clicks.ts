@@ -48,7 +48,7 @@ export function clickAction(count: number, forTool: boolean): "click" | "enlarge
   return forTool || count % 2 === 1 ? "nothing" : "enlarge";
 }
 
-/** An action that cannot be undone, such as a flight, delayed until no second click can follow. */
+/** Action that cannot be undone, such as a flight, delayed until a second click is no longer possible. */
 export class DelayedAction {
   #waiting: ReturnType<typeof setTimeout> | null = null;
   #done = false;

@@ -28,7 +28,7 @@ export interface SteeringHooks {
   /** Return the speed of the automatic flight, mm/s. */
   speedMmS(): number;
   send(message: ClientMessage): void;
-  /** Report the start or end of the automatic flight. */
+  /** Called when the automatic flight starts or ends. */
   advancing(on: boolean): void;
 }
 

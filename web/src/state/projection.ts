@@ -44,7 +44,7 @@ export interface SeenGeometry {
 /** Geometry of a planar picture or of a camera picture. */
 export type Geometry = FlatGeometry | SeenGeometry;
 
-/** The fields of a picture header that define the geometry of the picture. */
+/** Properties of a picture header that define the picture's position and scale in the patient. */
 export interface Placed {
   width: number;
   height: number;
