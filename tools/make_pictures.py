@@ -109,7 +109,7 @@ PARTS = """() => {
     }
     return parts;
 }"""
-"""Script that returns the position and the text of all visible elements that a user reads or presses.
+"""Script that returns position and text of every visible element that a user reads or presses.
 
 Numbers outside names (RB10 is a name) are replaced, because they are measured and their last digit may differ between
 processors. The status bar is excluded because it describes the machine.

@@ -18,9 +18,9 @@ const BLIND_SAMPLES: u32 = 8u;
 override PAYING_LEAP: u32 = 1u;
 // Number of steps per voxel along an axis on which a ray does not advance.
 const FAR: f32 = 1e30;
-// Largest number of steps of a leap.
+// Maximum number of ray steps that a leap over a transparent region skips.
 const MAX_STEPS: f32 = 1e9;
-// Position of the first wall of a ray that meets no wall.
+// Value of the first wall's position for a ray that meets no wall.
 const NO_HIT: f32 = -1.0;
 
 // Parameters of a picture, with the memory layout of `Uniforms` in uniforms.rs.

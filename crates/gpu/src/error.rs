@@ -2,7 +2,7 @@ use carina_raycast::RaycastError;
 
 /// Errors of casts on the GPU.
 ///
-/// No error is caused by the viewer, and the CPU can render every picture instead.
+/// After any of these errors the CPU can render the picture instead.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum GpuError {
     /// The machine has no adapter at the requested index.

@@ -197,7 +197,7 @@ impl LumenGraph {
         mask
     }
 
-    /// Return the distance in mm from a node to the wall near the node's nearest voxel outside the lumen.
+    /// Return the distance in mm from a node's voxel to the wall, searched near the nearest voxel outside the lumen.
     pub(crate) fn wall_from_site(
         &self,
         values: VolumeView<'_, i16>,

@@ -170,7 +170,7 @@ impl AirwayTree {
         self.branches.push(branch);
     }
 
-    /// Add the trachea to the tree: from the neck, where it is anterior, down and back to the carina at the origin.
+    /// Add the trachea to the tree: from its anterior upper end in the neck to the carina, which is at the origin.
     fn add_trachea(&mut self, top_z: f64, radius: f64) {
         let top = [1.5, -0.2 * top_z, top_z];
         let num = ((top_z / 1.5).ceil() as usize).max(4);

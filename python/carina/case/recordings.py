@@ -337,7 +337,7 @@ class RecordingWriter(io.TextIOBase):
                 del self._chunks[:num_ready]
 
     def unsaved_part(self) -> tuple[int, str]:
-        """Return the number of chunks in the file and the lines that are not stored yet, without disk access."""
+        """Return the number of stored chunks, and the lines that are not stored yet; the disk is not accessed."""
         with self._lock:
             return self._num_stored, "".join(line for lines in self._chunks for line in lines)
 

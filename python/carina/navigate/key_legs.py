@@ -224,7 +224,7 @@ def _leg_along_airway(way: AirwayWay, start: Points, end: Points) -> Leg | None:
     if path.length_mm <= away:
         return None
     half = path.length_mm / 2.0
-    # The centreline is where an airway is widest, so the path soon moves from a key frame beside it to the centreline,
+    # The centreline is where an airway is widest. Therefore the path soon moves from a key frame beside it to it,
     # and leaves it late.
     leaving = _smooth(mm / min(half, max(EASE * float(np.linalg.norm(off_start)), EASE_MM)))
     coming = _smooth((mm[-1] - mm) / min(half, max(EASE * float(np.linalg.norm(off_end)), EASE_MM)))

@@ -89,7 +89,7 @@ class Landmark:
     direction_lps: tuple[float, float, float] | None
     """Unit vector across the airway, LPS, towards the wall behind which the station is."""
     clock_head: float | None
-    """Clock hour in the levelled picture of an operator at the patient's head, 0 < hours <= 12; error about 1 hour."""
+    """Clock hour of the station in the levelled picture for an operator at the head, 0 < hours <= 12; error about 1."""
     clock_facing: float | None
     """Clock hour of the station for an operator who faces the patient, 0 < hours <= 12; None without this airway."""
     direction_basis: DirectionBasis

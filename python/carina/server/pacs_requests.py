@@ -191,7 +191,7 @@ class PacsRequests:
         delete_retrieved(retrieved_folder(), self._refuse_while_used)
 
     def _refuse_while_used(self) -> None:
-        """Raise UsageError while the open case, an opening or a retrieval may use a retrieved series."""
+        """Raise UsageError while the open case, a case being opened, or a retrieval may use a retrieved series."""
         if self._session.snapshot().case is not None:
             raise UsageError("close the case first, because it may use a retrieved series", code="pacs.in-use")
         if any(job.kind == "open" or job.kind.startswith("pacs-get-") for job in self._session.jobs.running):

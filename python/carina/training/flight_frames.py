@@ -64,7 +64,7 @@ class FlightFrames:
     """(n,) index into ``optics`` of each frame."""
     optics: tuple[FlightOptics, ...]
     complete: bool
-    """False if the recording was cut off, or if the attempt at a task ended for another reason than its own end."""
+    """Whether the recording has its end, and the attempt at a task ended regularly."""
     recorded_poses: Poses = field(repr=False)
     """(m, 4, 4) all recorded poses, mm."""
     recorded_times_s: NDArray[np.float64] = field(repr=False)

@@ -40,7 +40,7 @@ INTO_BRANCH = 0.4
 @one_line
 @dataclass(frozen=True, slots=True, eq=False)
 class QuizQuestion:
-    """Question of a quiz: a pose of the tip, the right name, and the names to choose from."""
+    """Quiz question about a bronchus: the pose from which it is seen, its name, and the names to choose from."""
 
     pose: Pose
     """Pose of the tip: it looks at the opening, or along the branch in which it is."""

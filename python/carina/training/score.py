@@ -398,7 +398,7 @@ class FlightScorer:
     def _sights(
         self, frames: FlightFrames, first: int, last: int, report: Callable[[str, float | None], None] | None
     ) -> OpeningSights:
-        """Return the openings in sight from ``first`` to ``last``; frames of the call before are not computed again."""
+        """Return the openings in sight in frames ``first`` to ``last``; frames of earlier calls are cached."""
         known = self._known
         begin = first if known is None else max(first, len(known.in_sight))
         found = openings_in_sight(

@@ -168,7 +168,7 @@ def _frames_in_sight(sights: OpeningSights, openings: Sequence[int]) -> list[int
 
 
 def _sequence(task: Task, visits: Sequence[Visit], segments: Sequence[CaseSegment]) -> TaskResult:
-    """Return the result of a search for one segment, or of a sequence: the segments visited in their order."""
+    """Return the segments that were visited in the order of the task, and the frame of the last one."""
     events: list[FlightEvent] = []
     done: list[str] = []
     wrong = 0

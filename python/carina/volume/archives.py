@@ -230,7 +230,7 @@ class _Unpacking:
         except (gzip.BadGzipFile, UnicodeError, ValueError, OverflowError, IndexError, RecursionError) as error:
             raise _damaged(shown, error) from None
         except OSError as error:
-            # A damaged zip directory states positions before the begin of the file (EINVAL).
+            # A damaged zip directory contains negative positions; seeking to them fails with EINVAL.
             if error.errno not in (None, errno.EINVAL) or isinstance(error, CarinaError):
                 raise
             # The decoder of bzip2 reports damaged data by an OSError without a number.

@@ -222,7 +222,7 @@ def _error(
     edge_mm = (0.6 if not is_alike else 0.05 if kind == "solid" else 0.25) * max(coarsest_mm, 0.8)
     free = (1.0 - cut_share) * area_mm2 * edge_mm
     cut = cut_share * area_mm2 * 0.5 * coarsest_mm
-    # Noise is correlated over about 4 voxels.
+    # Noise is correlated over about 4 voxels, hence the factor 8 in the error of the volume.
     grain = 1.645 * noise / max(rise, 50.0) * step**1.5 * np.sqrt(8.0 * max(mm3, 1.0))
     return float(np.sqrt(free**2 + cut**2 + grain**2) + 0.02 * mm3)
 

@@ -305,7 +305,7 @@ class Autosave(CommandHandlers):
         return None if record is None else self.opened(record)
 
     def reopened_file(self, case: CaseFile, mark: FileMark | None) -> ReopenedCase | None:
-        """Own the stored case that wrote a case file, and return this case; None if there is no such case."""
+        """Lock the stored case from which a case file was saved, and return it; None if there is no such case."""
         record = self._record_of(case, mark)
         reopened = None if record is None else self.opened(record)
         if reopened is not None and mark is not None and reopened.held.record.copy_path != str(case.path.absolute()):

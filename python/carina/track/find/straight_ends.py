@@ -38,7 +38,7 @@ class StraightEnd:
     """Closed end straight ahead of a wide airway."""
 
     lps: Points
-    """Middle of the lumen before the end, LPS in mm."""
+    """Middle of the wide airway's lumen, just before its closed end, LPS in mm."""
     width_mm: float
     """Diameter of the wide airway, mm."""
     axis: Points

@@ -120,7 +120,7 @@ _STEMS: dict[str, tuple[dict[frozenset[str], float], float]] = {
     ),
 }
 
-# Directions of trunks, x lateral (for the trachea: x to the left).
+# Directions of the bronchi of several segments; x is lateral (for the trachea: to the left).
 _TRUNKS: dict[str, Vector] = {
     "RMB": (0.50, 0.10, -0.85),
     "BI": (0.25, 0.20, -0.95),

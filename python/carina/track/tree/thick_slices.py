@@ -163,7 +163,7 @@ def shares_of(tree: AirwayTree, ct: Volume) -> CalibratedShares | None:
 
 
 def _share_of_diameter(shares: Sequence[CalibreShare], diameter_mm: float) -> CalibreShare:
-    """Return the share for airways of a diameter; below the smallest calibre it is the share of that calibre."""
+    """Return the share of airways of a diameter that the search finds; below the smallest calibre, that calibre's."""
     return next((share for share in shares if diameter_mm >= share.from_mm), shares[-1])
 
 
