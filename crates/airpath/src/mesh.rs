@@ -412,8 +412,8 @@ impl<'a> Reach<'a> {
         } else if self.in_lumen(from) {
             self.crossing(from, step)
         } else {
-            // This voxel is inside only because the lumen is extended. The crossing is computed from the lumen voxel on its other
-            // side, if that voxel exists.
+            // This voxel is inside only because the lumen is extended. The crossing is computed from the lumen voxel on its
+            // other side, if that voxel exists.
             let behind = std::array::from_fn(|a| from[a] - step[a]);
             if self.in_lumen(behind) {
                 self.crossing(behind, step) - 1.0

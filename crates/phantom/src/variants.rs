@@ -52,7 +52,7 @@ const LEFT_ISOMERISM: f64 = 0.000_036;
 pub(crate) const LEFT_BASAL_TRIFURCATION: f64 = 0.19;
 
 impl Variants {
-    /// Return the variants that `name` selects; [`PUBLISHED`] selects them at random from the seed; `None` for an unknown name.
+    /// Return the variants of a name, chosen at random for [`PUBLISHED`]; `None` for an unknown name.
     #[must_use]
     pub fn named(name: &str, seed: u64) -> Option<Self> {
         let mut found = Self::default();

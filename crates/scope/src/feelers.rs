@@ -163,7 +163,7 @@ impl Feelers {
         self.clearance_until(field, tip, entry, -depth_mm).mm < -depth_mm
     }
 
-    /// Return the minimum distance between wall and tip (its surface balls), or the first distance found below `end_mm`.
+    /// Return the minimum distance between wall and tip (its balls), or the first distance found below `end_mm`.
     fn clearance_until(
         &self,
         field: &WallField,

@@ -19,7 +19,6 @@ from carina.scopes import WallField
 from carina.track import Airways, AirwayTree, wall_field
 from carina.track.names.name_texts import MIRRORED
 from carina.training.attempt_checks import AttemptDoubt, attempt_doubts
-from carina.training.entries import entries_of, openings_entered, openings_passed
 from carina.training.events import FlightEvent
 from carina.training.flight_frames import FRAME_HZ, FlightFrames, flight_frames
 from carina.training.handling import (
@@ -34,6 +33,7 @@ from carina.training.handling import (
     wall_contacts,
 )
 from carina.training.openings_in_sight import OpeningSights, branch_openings, clear_views, openings_in_sight
+from carina.training.segment_entries import entries_of, openings_entered, openings_passed
 from carina.training.segments import (
     LANDMARKS,
     SEGMENTS,

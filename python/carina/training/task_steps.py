@@ -11,11 +11,11 @@ import numpy as np
 from carina.display import one_line
 from carina.track import AirwayTree
 from carina.track.names.name_texts import bare_name
-from carina.training.entries import ENTERED_S
 from carina.training.events import FlightEvent
 from carina.training.flight_frames import FRAME_HZ, FlightFrames
 from carina.training.handling import TipPlaces, WallContact
 from carina.training.openings_in_sight import OpeningSights
+from carina.training.segment_entries import ENTERED_S
 from carina.training.segments import CaseSegment, label_of
 from carina.training.task import Task, landmarks_of, names_on_way
 from carina.training.visits import MIDDLE, SEEN_S, Visit, first_run, frames_of, run_ends

@@ -74,7 +74,7 @@ def places_seen(
     places
         Indices of the openings of each place; nearly always one.
     entered
-        Frame for each opening at which it is seen from inside (`carina.training.entries.openings_entered`), or None.
+        Frame at which each opening is seen from inside (`carina.training.segment_entries.openings_entered`), or None.
     """
     found: list[int | None] = []
     for openings in places:
@@ -108,7 +108,7 @@ def visits_of(sights: OpeningSights, places: Sequence[Sequence[int]], entries: S
     places
         Indices of the openings of each place.
     entries
-        Entries of the tip into places (`carina.training.entries.entries_of`), which are visits too.
+        Entries of the tip into places (`carina.training.segment_entries.entries_of`), which are visits too.
     """
     held = [Visit(frame, place) for frame, place in run_ends(place_in_middle(sights, places), VISIT_S) if place >= 0]
     visits: list[Visit] = []

@@ -3,7 +3,7 @@
  * depend on panels.
  */
 
-import { KeyPlayer, keyFrameHooks } from "../input/key-player";
+import { KeyPlayer, keyFrameHooks } from "../input/key-frame-player";
 import { listenToKeys } from "../input/keyboard";
 import { type Action, WINDOWS } from "../input/keymap";
 import { Steering } from "../input/steering";
