@@ -214,7 +214,7 @@ def parse_breathing(text: str, cough_s: str | None = None) -> Breathing:
         if len(found) != 2:
             raise UsageError(f"--breathing: expected {expected}; found {text!r}")
         values = {"craniocaudal_mm": found[0], "period_s": found[1]}
-        # The other amplitude has its published ratio to the first.
+        # The anteroposterior amplitude has its published ratio to the craniocaudal one.
         values["anteroposterior_mm"] = found[0] * Breathing().anteroposterior_mm / Breathing().craniocaudal_mm
     if cough_s is not None:
         values["coughs_s"] = tuple(numbers("--cough", cough_s, "times in s, separated by commas"))

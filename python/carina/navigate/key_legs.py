@@ -29,7 +29,7 @@ BEND_RAD = math.radians(40.0)
 LOOK_MM = 8.0
 # The path moves from a key frame to the centreline over four times their distance, and over at least EASE_MM.
 EASE, EASE_MM = 4.0, 4.0
-# Largest distance of the rounded path from the corner of the centrelines at a fork, where both lumens are one.
+# Maximum distance of the rounded path from the corner of the centrelines at a fork, where both lumens are one.
 ROUND_MM = 1.0
 CORNER_MM = 2.0
 # Cosine of the angle to the anterior axis above which "anterior up" is unstable.

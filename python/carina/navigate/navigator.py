@@ -29,7 +29,7 @@ Mode = Literal["free", "path", "scope"]
 OperatorPosition = Literal["head", "facing"]
 Limit = Literal["none", "volume", "path start", "path end"]
 
-# Largest distance in mm at which the tip joins the path gradually. The trachea's radius is about 9 mm; from farther
+# Maximum distance in mm at which the tip joins the path gradually. The trachea's radius is about 9 mm; from farther
 # away the transition would pass through tissue.
 JOIN_MM = 10.0
 MM = bounded(COORDINATE_MM, unit="mm")

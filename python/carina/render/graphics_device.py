@@ -26,9 +26,9 @@ PICTURES_FIRST = 3
 PICTURES_WITHOUT_MAP = 30
 # Number of timed pairs of pictures (one on the CPU, one on the GPU); the shortest time of each processor counts.
 NUM_PAIRS = 5
-# Largest ratio of GPU time to CPU time for which the GPU is chosen: it also costs memory and a copy of every new wall.
+# Maximum ratio of GPU time to CPU time for which the GPU is chosen: it also costs memory and a copy of every new wall.
 WORTH_IT = 0.9
-# Largest ratio of a device's time per pixel to the CPU's measured time per pixel, and number of consecutive slower
+# Maximum ratio of a device's time per pixel to the CPU's measured time per pixel, and number of consecutive slower
 # pictures after which the device is given up: another program may use the device, or the driver may have slowed it.
 MAX_SLOWNESS = 3.0
 SLOW_PICTURES = 10
@@ -39,7 +39,7 @@ COMPARED_PICTURES = 10
 # Error code of a limit of this volume or view, not of the device: another volume may fit.
 LIMIT = "render.gpu-limit"
 FAILED = "render.gpu"
-# Smallest number of pixels of a test picture: a smaller or darker picture shows neither speed nor agreement.
+# Minimum number of pixels of a test picture: a smaller or darker picture shows neither speed nor agreement.
 MIN_PIXELS = 96 * 96
 MIN_LIGHT = 40
 

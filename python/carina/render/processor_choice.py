@@ -26,7 +26,7 @@ log = logging.getLogger(__name__)
 RECORD_NAME = "backend.json"
 FORMAT = "carina-backend"
 VERSION = 2
-# Largest fraction of pixels that may differ by more than one grey level from the CPU's picture.
+# Maximum fraction of pixels that may differ by more than one grey level from the CPU's picture.
 MAX_PART_OFF = 1e-3
 
 

@@ -77,7 +77,7 @@ class Scene:
 def value_maps(labels: NDArray[np.uint8], radius: NDArray[np.uint8], label_values: list[int]) -> ValueMaps:
     """Return labels from 1 on, their values and their radii with the labels in the order of the values.
 
-    A ray skips the step table at labels before the first visible one, which are the most in this order.
+    A ray does not read the segment table at labels before the first visible one, which are the most in this order.
     """
     order = np.argsort(label_values)
     label_of = np.zeros(256, dtype=np.uint16)

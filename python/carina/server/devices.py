@@ -281,7 +281,7 @@ class DeviceConnections:
                 if not self._fault_logged:
                     self._fault_logged = True
                     log_fault(logger, "processing the device input of one frame failed; input continues", error)
-            # This wait limits the frame rate, however many samples arrive.
+            # The wait limits the rate at which the tip moves, however many samples arrive.
             self._ended.wait(max(0.0, FRAME_S - (time.monotonic() - began_s)))
 
 

@@ -65,7 +65,7 @@ def flight_list(case: OpenCase, saving: SavingInfo) -> tuple[FlightInfo, ...]:
 
 
 Event = Changed | ErrorEvent | EvidenceMissing | UserMessage | StartMarked | JobProgress | JobEnded
-# Longest time in s between two moves that is counted as contact with the wall.
+# Maximum time in s between two moves that is counted as contact with the wall.
 MAX_CONTACT_S = 10.0
 WATCHING = "session.watching"
 ALL_TOPICS: tuple[Topic, ...] = (

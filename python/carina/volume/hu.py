@@ -27,7 +27,7 @@ HU_TYPES = ("", "HU", "HU_MOD")
 """Values of RescaleType for Hounsfield units, including a missing tag."""
 
 _INT16 = np.iinfo(np.int16)
-# Largest number of samples of the histogram. A share of 0.2 % is then 8,000 samples, and its error is about 1 % of it.
+# Maximum number of samples of the histogram. A share of 0.2 % is then 8,000 samples, and its error is about 1 % of it.
 _MAX_SAMPLES = 4_000_000
 MAX_DOUBTFUL_SHARE = 0.01
 """Maximum share of voxels that were clipped, or are in the body and not finite; above it, the values are not HU."""

@@ -345,7 +345,7 @@ export interface SetModeMessage {
   readonly mode: "free" | "path" | "scope";
 }
 
-/** Change to the other mode, without a jump of the picture. */
+/** Change between free movement and movement along the path, without a jump of the picture. */
 export interface ToggleModeMessage {
   readonly type: "toggle_mode";
 }

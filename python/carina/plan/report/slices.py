@@ -131,7 +131,7 @@ def needle_slice(
     if np.linalg.norm(beside) < 0.05:
         # The needle follows the airway's axis, so any plane through the needle is suitable.
         beside = np.cross(right, np.eye(3)[int(np.argmin(np.abs(right)))])
-    # This direction brings the airway in from the upper left.
+    # With this downward direction the airway enters the picture from the upper left.
     down = beside / float(np.linalg.norm(beside))
     matrix = np.eye(4)
     matrix[:3, :3] = np.stack([right, down, np.cross(right, down)], axis=1)

@@ -77,12 +77,12 @@ CASE_CLOSED = (
 NOT_SCORED = "the score of {flight} is not stored yet, because its computation was stopped: {remedy}choose Score it"
 
 REFUSED_COMMANDS = (
-    # These commands take the scope out of the airways, or change it.
+    # Commands that take the scope out of the airways, or select another scope.
     c.SetMode, c.ToggleMode, c.GoTo, c.NextFork, c.PreviousFork, c.Place, c.PlacePose, c.ShowPlace, c.SetScope,
     c.FlyFlight, c.FlyKeyFrames, c.ShowKeyFrame, c.SeeTurn, c.StartQuiz,
-    # This command stops the recording.
+    # Command that stops the recording, from which the attempt is scored.
     c.StopRecording,
-    # These commands change the airways, or the instrument, or restore former ones.
+    # Commands that change the airways or the instrument, or restore former ones, so that the score would not be valid.
     c.EditTree, c.SetRoot, c.SetLumenThreshold, c.TakeMask, c.AnswerMask, c.Undo, c.Redo, c.GoToStep,
     # These commands close the case. The end of the session closes it without a command, so windows can be closed.
     c.OpenPath, c.OpenSeries, c.OpenCaseFile, c.OpenDemo, c.OpenRecent, c.OpenFiles, c.OpenVolume, c.BeginAnew,

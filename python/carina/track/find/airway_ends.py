@@ -23,7 +23,7 @@ FINE_MM = 2.5
 FINE_VOX = 3.0
 # Radius in mm of the ball round a leak within which the flood was closed.
 NEAR_LEAK_MM = 10.0
-# Largest distance in mm between the end of the lumen and the filling (mucus or tissue in the lumen) at which the lumen
+# Maximum distance in mm between the end of the lumen and the filling (mucus or tissue in the lumen) at which the lumen
 # ends.
 AT_END_MM = 4.0
 # Distance in mm from the tip at which the measurement of the calibre stops, because the lumen ends bluntly there; it

@@ -61,7 +61,7 @@ MAX_LENGTH_MM = 12_000.0
 MAX_BRANCHES = 2_500
 # Generation above which a tree is rejected as a leak into the lung.
 MAX_GENERATION = 40
-# Least total length in mm of the airways beyond a trachea that divides: main bronchi and lobar bronchi are longer.
+# Minimum total length in mm of the airways beyond a trachea that divides: main bronchi and lobar bronchi are longer.
 MIN_BEYOND_MM = 150.0
 
 
@@ -95,7 +95,7 @@ def doubt_of_totals(branches: tuple[Branch, ...], *, splits: bool) -> Note | Non
     return None
 
 
-# Least number of branches for naming lobes: trachea, two main, five lobar and some segmental bronchi.
+# Minimum number of branches for naming lobes: trachea, two main, five lobar and some segmental bronchi.
 MIN_GRAMMAR_BRANCHES = 12
 
 

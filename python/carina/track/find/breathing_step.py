@@ -22,12 +22,12 @@ MIN_AREA_MM2 = 2000.0
 MIN_SHARE = 0.4
 """Minimum lung area of a compared slice, as a share of the largest lung area in a slice of the scan."""
 NUM_BESIDE = 2
-# Least drop of similarity between two slices against the least similar neighbouring pair, as a difference of Fisher
+# Minimum drop of similarity between two slices against the least similar neighbouring pair, as a difference of Fisher
 # transforms of correlations; without a step the drop is at most 0.21.
 MIN_DROP = 0.22
-# Least ratio of a drop to the fourth largest drop of the scan, because streaks make many slices dissimilar.
+# Minimum ratio of a drop to the fourth largest drop of the scan, because streaks make many slices dissimilar.
 MIN_RATIO = 2.5
-# Largest number of breathing steps that are looked for in a scan; all other height differences give the usual value.
+# Maximum number of breathing steps that are looked for in a scan; all other height differences give the usual value.
 MAX_STEPS = 3
 
 

@@ -15,14 +15,14 @@ WIDE_PART = 75.0
 # Distance in voxels by which the measured edge of an air space lies inside the true wall (phantoms, voxels of 0.8 to 4
 # mm).
 EDGE_VOXELS = 0.5
-# Smallest size of a chest relative to an adult's: a trachea of 4 mm is that of a newborn.
+# Minimum size of a chest relative to an adult's: a trachea of 4 mm is that of a newborn.
 MIN_SIZE = 0.25
-# Longest and usual length in mm of an adult's trachea; both are larger for a trachea that is wider than usual, by at
+# Maximum and usual length in mm of an adult's trachea; both are larger for a trachea that is wider than usual, by at
 # most the factor ``MAX_LONGER``.
 LONGEST_TRACHEA_MM, USUAL_TRACHEA_MM = 150.0, 110.0
 # Usual diameter of an adult's trachea, mm.
 USUAL_DIAMETER_MM = 17.3
-# Largest factor by which a trachea that is wider than usual is expected to be longer than usual.
+# Maximum factor by which a trachea that is wider than usual is expected to be longer than usual.
 MAX_LONGER = 1.2
 # Reduction of the chest's size over which the confidence of the thinnest airways falls to UNPROVEN_THREAD; this
 # confidence was measured in adults only.

@@ -50,7 +50,7 @@ USUAL_ORIGIN = 1.3
 """Usual distance of a bronchus from the carina, as a multiple of its shortest distance (:mod:`scan_extent`)."""
 MIN_MATCH = 0.5
 """Minimum cosine between the direction beyond a filled place and the usual direction of a missing bronchus."""
-# Largest distance in mm between the filling of a bronchus and the end of the airway before it.
+# Maximum distance in mm between the filling of a bronchus and the end of the airway before it.
 AT_END_MM = 4.0
 # A tip up to this length may be the stump of a lobe's bronchus.
 STUMP_MM = 10.0

@@ -348,7 +348,7 @@ def _read(tree: AirwayTree, *, judges_fit: bool = True) -> _Named:
         usual, rules = rules, grammar(left_isomerism=True)
         usual_constraints, (wishes, held) = (wishes, held), _constraints(rules, bronchi, given)
         other, solver = attempt(first)
-        # Both readings are compared in the same frame, which neither has refined.
+        # The usual reading and that of a left isomerism are compared in body axes that neither has refined.
         if other > unrefined:
             straight = other if first is not guess else attempt(np.eye(3))[0]
             score, frame = refined(other, solver, first)

@@ -48,7 +48,7 @@ NOISE_POWER = 0.75
 SHARP_RIM_HU = 15.0
 # Median radius in voxels below which a branch counts as thin.
 THIN_VOXELS = 2.0
-# Largest confidence of a thin branch in a CT with dark rims beside edges.
+# Maximum confidence of a thin branch in a CT with dark rims beside edges.
 MAX_BESIDE_RIMS = 0.95
 # Length in mm of the end of a branch that is not judged, because it is the blind end of the lumen.
 BLUNT_MM = 2.0
