@@ -95,8 +95,8 @@ impl CastStats {
     ///
     /// Counted are the reads of samples and their gradients, one radius for each look-up, and one label for each leap
     /// over a class. With leaps over values a look-up is the only read of a sample, unless its voxel has no label. Reads
-    /// of the transfer and segment tables are left out: the tables are small and stay in the nearest cache, and a leap saves
-    /// these reads as well.
+    /// of the transfer and segment tables are left out: the tables are small and stay in the nearest cache, and a leap
+    /// saves these reads as well.
     #[must_use]
     pub fn with_loads(self, frame: &Frame<'_>, method: Method<'_>) -> Self {
         let nearest = frame.options.interpolation == Interpolation::Nearest;
