@@ -36,7 +36,7 @@ from run_cleanup import run_name
 
 ROOT = Path(__file__).resolve().parents[1]
 SEARCH = carina.find_airways
-"""The real search; tests replace ``carina.find_airways`` by the cache, and the cache must not call itself."""
+"""Carina's own search, which the test cache calls because tests replace ``carina.find_airways`` by the cache."""
 CACHE = ROOT / ".pytest_cache" / "d" / "made"
 """Folder of the cache, beside the caches of pytest's plugins; ``pytest --cache-clear`` empties it."""
 

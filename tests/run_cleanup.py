@@ -25,7 +25,7 @@ import pytest
 
 MARK = "CARINA_TEST_RUN"
 WITHIN_S = 10.0
-"""Longest time until killed processes have disappeared, seconds."""
+"""Maximum time until killed processes have disappeared, seconds."""
 
 
 def marked_processes(folder: str) -> dict[int, str]:

@@ -28,7 +28,7 @@ from typing import Any
 
 ROOT = Path(__file__).resolve().parent.parent
 WITHIN_S = 15.0
-"""Timeout in seconds for each database, so that a network without responses does not delay the checks."""
+"""Maximum time in s to wait for each database, so that a network that does not answer cannot block the checks."""
 LOCKS = ("requirements.lock", "requirements-cluster.lock")
 """Lock files of the Python packages that are checked."""
 
@@ -66,7 +66,7 @@ class Result:
     num_seen: int = 0
     bad: list[str] = field(default_factory=list)
     unseen: list[str] = field(default_factory=list)
-    """Reasons why the check could not run, or not on all packages, one line each."""
+    """Reasons, one line each, why the check could not run or did not cover all packages."""
     accepted: list[str] = field(default_factory=list)
     """Gaps that ``audit.toml`` accepts: description, last day and reason, one line each."""
 
@@ -83,7 +83,7 @@ class Result:
 
 @dataclass(frozen=True, slots=True)
 class Gap:
-    """Gap of one check that ``audit.toml`` accepts until a last day."""
+    """Gap of one check that ``audit.toml`` accepts up to and including a stated day."""
 
     reason: str
     until: datetime.date

@@ -43,13 +43,13 @@ LEFT_OUT = (
     "__pycache__",
     "pydoc_data",
 )
-"""Parts of the standard library that Carina does not use."""
+"""Parts of the standard library that the bundle omits, because Carina does not use them."""
 MODULES_LEFT_OUT = re.compile(r"_tkinter|_?curses|readline|nis|ossaudiodev|_crypt|_g?dbm|_test|_ctypes_test|xx|spwd")
-"""Compiled modules of the standard library that need libraries which Carina does not use."""
+"""Compiled modules of the standard library that the bundle omits with the libraries that they need."""
 OF_THE_SYSTEM = re.compile(r"lib(c|m|dl|rt|pthread|util|resolv|nsl|anl)\.so|ld-linux|linux-vdso")
 """Libraries of glibc, which every bundle takes from the system."""
 SMALLEST_SHARED_FILE = 1 << 16
-"""Size in bytes from which equal files are stored once."""
+"""Minimum size in bytes of files with equal content that the bundle stores once."""
 
 
 def copy_python(prefix: Path, folder: Path) -> str:

@@ -37,7 +37,7 @@ PORT = 8765
 """Port of the workstation in the image."""
 TYPE = "application/vnd.oci.image"
 LIBRARIES = ("c", "m", "dl", "pthread", "rt", "util", "resolv", "nss_files", "nss_dns", "stdc++", "gcc_s")
-"""Libraries that the bundle takes from the system."""
+"""System libraries that the bundle expects on its machine, so that the image must contain them."""
 
 
 def system_libraries() -> dict[str, Path]:

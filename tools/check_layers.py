@@ -219,21 +219,21 @@ def view_names() -> frozenset[str]:
 
 VIEWS = view_names()
 MAX_FILES_PER_VIEW = 4
-"""Largest number of files that may name one view.
+"""Maximum number of files that may name one view.
 
 A view is one row of a table in each language (docs/decisions/0102).
 """
 REPEATED_SHARE = 0.6
 """Share of the fields of a record class which, if another class also has them, makes the class repeating."""
 MAX_REPEATING = 5
-"""Largest number of repeating classes.
+"""Maximum number of repeating classes.
 
 A repeating class is a record class of two or more fields of which a share of REPEATED_SHARE is also in another class.
 """
 MAX_METHODS = {"Session": 15, "Case": 15}
-"""Largest number of public methods and properties by class."""
+"""Maximum number of public methods and properties by class."""
 MAX_ATTRIBUTES = {"OpenCase": 22}
-"""Largest number of attributes of the named classes."""
+"""Maximum number of attributes of the named classes."""
 
 QUOTED = re.compile(r"""(["'`])([a-z][a-z-]*)\1""")
 """Pattern of a name in quotation marks in a TypeScript or Rust file."""

@@ -13,22 +13,22 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
 MAX_BYTES = 2 * 1024 * 1024
-"""Largest size of a file in the repository, bytes."""
+"""Maximum size of a file in the repository, bytes."""
 BIG_FILES = {"python/carina/_cases/"}  # The bundled patient case (CC BY) may be larger.
 NAMED_PATH = re.compile(
     r"`((?:crates|packages|python|web|tests|tools|docs|examples|benchmarks|protocol|build_backend)/[\w./*-]*)`"
 )
 """Pattern of a path in backticks in a document; its existence is checked."""
 ELSEWHERE = re.compile(r"\b(?:DESIGN|STYLE)(?:\.md| section| \d|:)|\bissue \d+|\breference/\w+\.md")
-"""Pattern of citations of papers that are not in the repository; their content is in docs/."""
+"""Pattern of citations of working papers outside the repository, which are refused; their content is in docs/."""
 CITED_DECISION = re.compile(r"\bdecisions?[ /](\d{4})\b", re.IGNORECASE)
 """Pattern of the citation of a decision; group 1 is the number of the decision."""
 DECISION_HEADINGS = ["Context", "Decision", "Reasons", "Alternatives", "What would change this"]
 """Headings of a decision, in this order."""
 MAX_DECISION_WORDS = 600
-"""Largest number of words of a decision; docs/writing.md recommends about 450."""
+"""Maximum number of words of a decision; docs/writing.md recommends about 450."""
 GENERATED = ("benchmarks/results", "tests/out", "python/carina/_web")
-"""Start of the paths of generated files; a document may name such a file although it does not exist."""
+"""Beginnings of the paths of generated files, which documents may name although git does not contain them."""
 HOME_PATH = re.compile(rb"(?<![\w.])/(?:home|root|Users)/[A-Za-z0-9._-]+/")
 """Pattern of a path in the home folder of a user, which must not be in a file of the repository."""
 TEXT = {".py", ".rs", ".ts", ".tsx", ".md", ".toml", ".json", ".html", ".css", ".lock", ".txt", ".yml", ".sh", ""}

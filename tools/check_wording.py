@@ -471,7 +471,7 @@ def from_web() -> dict[str, Found]:
 
 
 def collect() -> dict[str, Found]:
-    """Return all sentences by surface and file, in the order of the file; a file lists each sentence once."""
+    """Return the different sentences of each file, by where users read them (window, terminal) and by file."""
     found = {**from_web(), **from_python()}
     found["messages"].update(from_rust())
     return {

@@ -14,7 +14,7 @@ PACKAGES = ("mesa-vulkan-drivers", "libvulkan1")
 PLACES = ("/usr/share/vulkan/icd.d", "/usr/local/share/vulkan/icd.d", "/etc/vulkan/icd.d")
 """Folders in which manifests of drivers are searched."""
 NAMED = ("VK_DRIVER_FILES", "VK_ICD_FILENAMES")
-"""Environment variables that name the manifest of a driver."""
+"""Environment variables that can contain the path of a driver's manifest."""
 
 
 def find_driver() -> str | None:

@@ -24,7 +24,7 @@ WORK = ROOT / "target" / "fuzz"
 MAX_BYTES = 20_000
 TARGETS = ("grids", "dicom", "archives")
 DICOM_EVERY = 8
-"""Share of the DICOM inputs that are generated: they differ in tags of several slices, and the fuzzer reads one."""
+"""Ratio of all DICOM inputs to generated ones, whose slices differ in several tags."""
 
 
 def unpack(target: str, folder: Path, more: Iterable[bytes]) -> None:

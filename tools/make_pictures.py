@@ -34,7 +34,7 @@ from find_browser import find_browser  # noqa: E402
 COMMAND = ".venv/bin/python tools/make_pictures.py"
 """Command that makes the pictures again; it is named in the message about pictures that are out of date."""
 MAX_BYTES = 400_000
-"""Largest size of a picture of the window, bytes."""
+"""Maximum size of a picture of the window, bytes."""
 QUALITY = 90
 """JPEG quality of the pictures, 0 to 100."""
 
@@ -58,7 +58,7 @@ DEMOS = ("phantom", "patient")
 DEMO_SIZE = (392, 294)
 """Width and height of a picture of the start page, pixels."""
 DEMO_MAX_BYTES = 60_000
-"""Largest size of a picture of the start page, bytes."""
+"""Maximum size of a picture of the start page, bytes."""
 CARD = """([width, height]) => {
     const from = document.querySelector('canvas[data-view=airway]');
     const card = document.createElement('canvas');
@@ -109,7 +109,7 @@ PARTS = """() => {
     }
     return parts;
 }"""
-"""Script that returns the position and the text of all visible elements that a user reads or presses.
+"""Script that returns position and text of every visible element that a user reads or presses.
 
 Numbers outside names (RB10 is a name) are replaced, because they are measured and their last digit may differ between
 processors. The status bar is excluded because it describes the machine.
@@ -121,9 +121,9 @@ FONT = """() => {
 }"""
 """JavaScript that returns the width of a sample text; pictures made with other fonts on another machine differ."""
 BOX_TOLERANCE_PX = 12
-"""Largest change in pixels of an element's position or size that counts as no change: the width of one digit."""
+"""Maximum change in pixels of an element's position or size that counts as no change: the width of one digit."""
 COLOUR_TOLERANCE = 10
-"""Largest change of an element's mean colour (0 to 255) that counts as no change: the effect of rounding."""
+"""Maximum change of an element's mean colour (0 to 255) that counts as no change: the effect of rounding."""
 
 
 def at_rest(station: Workstation, shot: Shot) -> None:

@@ -46,7 +46,7 @@ NEAR = {
     "track": ("track", "session", "export", "phantom"),
     "volume": ("volume",),
 }
-"""Folders of tests for each part of the package, the most relevant first."""
+"""Test folders for each part of the package, in the order in which they run."""
 QUICK = "not soak and not ray and not browser and not data and not gpu"
 """Marker expression of the tests that run first."""
 THOROUGH = "not soak and not gpu"
@@ -66,7 +66,7 @@ COMPARISONS = {
 }
 """Operator by which each comparison is replaced."""
 BOUNDING = {"min", "max", "minimum", "maximum", "clip", "range"}
-"""Names of functions whose number arguments are bounds."""
+"""Names of functions whose numeric arguments are limits, which a mutant changes."""
 TURNS = ("comparison", "bound", "comparison", "bound", "and-or", "comparison", "bound", "sign")
 """Kinds of mutants in the order in which they are drawn; comparisons and bounds are drawn more often."""
 Position = tuple[int, int]
@@ -250,7 +250,7 @@ def test_steps(path: Path, *, thorough: bool) -> list[tuple[str, list[str]]]:
 
 
 class Bench:
-    """Copy of the package in which one mutant at a time is tested."""
+    """Copy of the package in which mutants are tested one at a time."""
 
     def __init__(self, folder: Path, workers: int, limit_s: float) -> None:
         self._python = folder / "python"

@@ -28,7 +28,7 @@ class Times:
 
     @property
     def min_ms(self) -> float:
-        """Least CPU time over the rounds that one call of the function takes, ms."""
+        """Minimum over the rounds of the CPU time of one call of the function, ms."""
         return min(self.cpu_ms)
 
     def to_json(self) -> dict[str, Any]:

@@ -60,7 +60,7 @@ def bench_render(
     repeats: BenchRepeats = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Compare the times of whole frames with VTK and numba, and of leaping with brute force.
+    """Compare the times of whole frames with VTK and numba, and of empty-space skipping with brute force.
 
     Sections: frames, small, views, first-frame (time to the first frame), paper (the paper's setting). The section
     paper and the one real case need CARINA_DATA_DIR. A missed limit is reported; the exit code is still 0.

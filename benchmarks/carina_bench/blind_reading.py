@@ -1,4 +1,4 @@
-"""Blind test of the endoscopic look: readers state the clock position of the back wall in rotated pictures of tracheas.
+"""Blind test of the drawn airway surface: readers state the clock position of the back wall in rotated pictures.
 
 ``python -m carina_bench.blind_reading draw FOLDER CASE ...`` writes pictures, half of them without decoration, and
 their answers in ``key.json``, which readers must not see. A reader writes hours into a file, ``{"00": 4.5, ...}``: 12
@@ -31,7 +31,7 @@ BEFORE_CARINA_MM = (70.0, 50.0, 32.0)
 TO_THE_BACK_LPS = (0.0, 1.0, 0.0)
 """Unit vector from the patient's front to the back, LPS."""
 SIZE = 512
-"""Width and height in pixels of the pictures that readers judge without knowing their origin."""
+"""Width and height in pixels of the pictures that readers judge without information on their origin."""
 
 
 def turned(pose: Pose, roll_rad: float) -> Pose:

@@ -1,4 +1,4 @@
-"""A second CT of the same chest in another state of breath, made from a CT by a known smooth deformation.
+"""CT of the same chest in another breath, made from a CT by a known smooth deformation.
 
 From inspiration to expiration the bases of the lungs move up by 10 to 20 mm, the apices by 2 to 5 mm, and the front of
 the chest moves back. The mean movement of a nodule between two such CTs is 17.6 mm (Chen et al., Chest 2015;147:1275).
@@ -26,11 +26,11 @@ class Breath:
     """Smooth deformation from the first CT to the second."""
 
     apex_mm: float
-    """Shift of the apices up, mm."""
+    """Upward shift of the lungs' apices, mm."""
     base_mm: float
-    """Shift of the bases up, mm."""
+    """Upward shift of the lungs' bases, mm."""
     back_mm: float
-    """Shift of the front of the bases to the back, mm."""
+    """Backward shift of the front of the lungs' bases, mm."""
     apex_z: float
     base_z: float
     """Heights of the apices and of the bases of the lungs, LPS mm."""
@@ -38,11 +38,12 @@ class Breath:
     back_y: float
     """Front and back of the chest, LPS mm."""
     waves: Points
-    """(n, 7) smooth variation: amplitude in mm on each axis, wave vector in 1/mm, phase."""
+    """Waves (n, 7) that vary the deformation smoothly: amplitude in mm on each axis, wave vector in 1/mm, phase."""
     table_lps: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Shift of the whole patient on the table, mm."""
     denser: float = 1.25
-    """Density of the lung at expiration as a multiple of that at inspiration; air and tissue stay the same."""
+    """Density of the lung at expiration as a multiple of its density at inspiration; air and other tissue keep
+    their density."""
 
     def shifts(self, places: Points) -> Points:
         """Return the shifts (n, 3) in mm of places (n, 3) of the first CT, LPS mm."""

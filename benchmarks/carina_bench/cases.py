@@ -1,4 +1,4 @@
-"""Volumes on which the benchmarks measure, with camera poses in their airways."""
+"""Volumes on which benchmarks run, with camera poses in their airways."""
 
 from __future__ import annotations
 

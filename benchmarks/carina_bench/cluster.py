@@ -44,7 +44,7 @@ SIDE = 512
 GRIDS = {"head, 128x128x64": (64, 128, 128), "lung, 256x256x200": (200, 256, 256)}
 """Shapes (nz, ny, nx) of the volumes of the paper's tables, by the name of the table's row."""
 CONCURRENCY = (1, 2, 4, 8)
-"""Numbers of equal machines for which the cluster is measured."""
+"""Numbers of equal machines with which the cluster benchmarks run."""
 
 PAPER_TABLE_1 = {
     "head, 128x128x64": {1: (1.70, 1.00, 100, 855193), 2: (3.20, 1.88, 94, 452661), 4: (4.64, 2.73, 68, 407028),
@@ -70,7 +70,7 @@ answer, s; bandwidth of the console's connection, bytes per second.
 
 @dataclass(frozen=True, slots=True)
 class Scheme:
-    """Named way of distributing the strips of a picture: the settings of the scheduler."""
+    """Named settings of the scheduler that distributes the strips (rows) of a picture to machines."""
 
     name: str
     settings: ClusterSettings
@@ -84,9 +84,10 @@ SCHEMES = (
     Scheme("no balancing", ClusterSettings(in_flight=2, open_frames=3, balances=False, chooses_lanes=False)),
     Scheme("none of them", ClusterSettings(in_flight=1, open_frames=1, balances=False, chooses_lanes=False)),
 )
-"""Schemes that are compared: all features of the scheduler, without the choice of lanes, without one more, and none."""
+"""Compared settings of the scheduler: all features, then without the choice of lanes, without one more feature, and
+none."""
 TODAY_FRAME_S = {"head, 128x128x64": 0.0141, "lung, 256x256x200": 0.020}
-"""Time of a picture of 512x512 on two quiet cores of an AMD EPYC in 2026-11, s; the paper's tables have 0.6 s."""
+"""Time in s of a picture of 512x512 on two idle cores of an AMD EPYC in 2026-11; the paper's tables are for 0.6 s."""
 
 
 def report(*, folder: Path, only: Sequence[str], quick: bool, as_json: bool) -> int:
@@ -207,7 +208,7 @@ def _network(lines: list[str]) -> list[dict[str, Any]]:
 
 @dataclass(frozen=True, slots=True)
 class _Cost:
-    """Time of a picture on the machine of this benchmark, and its distribution over the picture's rows."""
+    """Rendering time of a picture on this machine, and the distribution of the time over the picture's rows."""
 
     frame_s: float
     profile: np.ndarray[Any, np.dtype[np.float64]]
@@ -234,7 +235,7 @@ def _case(name: str) -> tuple[Volume, Pose, np.ndarray[Any, np.dtype[np.uint8]]]
 
 
 def _flight_view(pose: Pose) -> Callable[[int], View]:
-    """Return a function from the frame number to a view of a slowly turning camera.
+    """Return a function that gives, for a frame number, a view of a slowly turning camera.
 
     The relative costs of the rows change between the frames.
     """

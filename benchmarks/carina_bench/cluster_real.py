@@ -1,4 +1,4 @@
-"""Measurements with a real Ray on this machine: transport, lost renderers, and one real renderer per core."""
+"""Measurements with a real Ray cluster on this machine: transport, lost renderers, one renderer per core."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ ROW_S = 0.004 / (SIDE / 8)
 
 @contextlib.contextmanager
 def real_head(renderers: int, threads: int | None = None) -> Iterator[tuple[Node, Path]]:
-    """Run a head on the loopback interface with ``renderers`` renderers of ``threads`` threads each."""
+    """Run a cluster's head node on the loopback interface, with ``renderers`` renderers of ``threads`` threads each."""
     folder = Path(tempfile.mkdtemp(prefix="carina-ray-"))
     with socket.socket() as probe:
         probe.bind((IP, 0))
@@ -122,7 +122,7 @@ class Flown:
     wanted_s: tuple[float, ...]
     shown_s: tuple[float, ...]
     overhead_s: tuple[float, ...]
-    """Time from the request to the display of each frame, less the time of its slowest strip, s."""
+    """Time from the request to the display of each frame, minus the time of its slowest strip, s."""
     jobs: tuple[StripTiming, ...]
 
     @property
@@ -164,7 +164,7 @@ def fly(
     ahead: int = 3,
     during: Callable[[float], None] | None = None,
 ) -> Flown:
-    """Fly and return the times of the frames after the last frame has arrived.
+    """Request the frames of a flight; return their times after the last one has arrived.
 
     Frames are requested at ``rate_hz``. If it is None, they are requested as soon as fewer than ``ahead`` frames, and
     fewer than the console renders at the same time, are open.
@@ -214,12 +214,12 @@ def fly(
 
 
 def stand_in_view(_number: int) -> View:
-    """Return the view that is sent to sleeping renderers; all frames have the same view."""
+    """Return the view that sleeping renderers receive, equal for all frames."""
     return AirwayView(Pose.looking((8.0, 8.0, 8.0), (0.0, 0.0, -1.0)), width=SIDE, height=SIDE)
 
 
 def small_renderer(console: Console) -> ClusterRenderer:
-    """Return a renderer of the cluster with a case so small that it is sent quickly."""
+    """Return a cluster renderer with a very small case, which is sent quickly."""
     hu = np.zeros((16, 16, 16), np.int16)
     renderer = ClusterRenderer(Renderer(Volume(hu, np.eye(4))), console, spread_all=True)
     renderer.prepare()

@@ -25,12 +25,12 @@ class SimulatedRenderer:
     call_seconds: float = 0.001
     call_jitter_seconds: float = 0.0005
     strip_seconds: float = 0.0
-    """Constant time of a strip in addition to the time of its rows, s."""
+    """Constant time per strip, added to the time of its rows, s."""
 
 
 @dataclass(frozen=True, slots=True)
 class Job:
-    """Strip that a simulated machine rendered: machine, frame, start and end."""
+    """Strip (rows of a picture) that a simulated machine rendered: machine, frame, start and end."""
 
     lane: int
     frame_id: int
@@ -45,9 +45,9 @@ class SimulationResult:
 
     seconds: float
     settled_s: float
-    """Time at which the measured frames began, s from the start of the run; no frame was open then."""
+    """Instant at which the measured frames began, s from the start of the run; no frame was in progress then."""
     frame_s: tuple[float, ...]
-    """Time at which each measured frame was complete, s from the start of the run."""
+    """Instant at which each measured frame was complete, s from the start of the run."""
     response_s: tuple[float, ...]
     """Time in s from the start of each measured frame until its last strip arrived."""
     busy: tuple[float, ...]

@@ -49,7 +49,7 @@ def sleeping_runs(
     quick: bool,
     say: Callable[[str], None],
 ) -> Iterator[SleepingRun]:
-    """Fly with sleeping renderers and yield the result of each flight.
+    """Run flights with sleeping renderers and yield the result of each flight.
 
     Parameters
     ----------

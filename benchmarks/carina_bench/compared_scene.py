@@ -14,9 +14,9 @@ FOV_DEG = 90.0
 STEP_VOX = 0.5
 """Distance in voxels between two samples of a ray, for all compared renderers."""
 STOP_TRANSPARENCY = 1 / 512
-"""Transparency at which the rays of Carina and of the numba baseline stop."""
+"""Transparency below which the rays of Carina and of the numba baseline stop."""
 VTK_STOP_TRANSPARENCY = 255 / 32767
-"""Transparency at which the rays of VTK's mapper stop; VTK cannot change it, so Carina uses it in the comparison."""
+"""Transparency below which the rays of VTK's mapper stop; VTK cannot change it, so Carina uses it in the comparison."""
 
 TRANSFER = TransferFunction(
     points=np.array(

@@ -1,4 +1,4 @@
-"""Shares of points, in plain lung and in true airways, that a click of *Add branch* accepts as airways."""
+"""Shares of lung points and of airway points that a click of *Add branch* accepts as airways."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ __all__ = ["lung_points", "missed_points", "removed_branches", "shows_lumen", "t
 Points = NDArray[np.float64]
 
 CLEAR_MM = 5.0
-"""Distance in mm from every airway from which a point counts as plain lung."""
+"""Minimum distance in mm from every airway of a point that counts as lung without airways."""
 FARTHEST_MM = 40.0
-"""Distance in mm from the airway tree beyond which points of plain lung are not used."""
+"""Maximum distance in mm from the airway tree of the lung points that are used."""
 MISSED_MM = 3.0
-"""Distance from a missed point of a true airway within which no lumen was found, mm."""
+"""Minimum distance in mm of a missed airway's point from the lumen that was found."""
 SURE = 0.95
-"""Confidence from which a branch counts as a true airway."""
+"""Minimum confidence of a branch that counts as a true airway."""
 SIDES, SEEN_MM, OPEN_SHARE, SEEN_NOISE = 16, 3.0, 0.2, 3.0
 """Condition of a visible lumen, see :func:`shows_lumen`.
 
@@ -31,11 +31,11 @@ In order: number of sides in a plane; distance within which the values rise, mm;
 least rise as a multiple of the standard deviation of the noise.
 """
 LUNG_HU, OUTSIDE_HU = -650.0, -988.0
-"""Range of the CT values of lung in HU: largest value, and largest value of air outside the patient."""
+"""Limits of the CT values in HU: maximum of lung, and maximum of the air outside the patient."""
 
 
 def lung_points(volume: Volume, airways: Airways, truth_zyx: NDArray[np.uint8], num: int, seed: int) -> Points:
-    """Return (num, 3) random points of plain lung, LPS mm.
+    """Return (num, 3) random points in lung without airways, LPS mm.
 
     The points are more than 5 mm from every airway and at most 40 mm from the airway tree.
 
@@ -72,7 +72,7 @@ def lung_points(volume: Volume, airways: Airways, truth_zyx: NDArray[np.uint8], 
 
 
 def removed_branches(volume: Volume, airways: Airways, num: int, seed: int, *, whole: bool) -> tuple[Airways, Points]:
-    """Return airways opened from a mask without some branches, and points (num, 3), LPS mm, in these branches.
+    """Return airways of a mask from which branches were removed, and points (num, 3), LPS mm, in these branches.
 
     Parameters
     ----------
@@ -177,7 +177,7 @@ def shows_lumen(volume: Volume, points: Points, noise_hu: float) -> NDArray[np.b
 
 
 def taken(volume: Volume, airways: Airways, points: Points) -> NDArray[np.int8]:
-    """Return the result of a click at each of the (n, 3) points, LPS mm.
+    """Return the result of a click of *Add branch* at each of (n, 3) points, LPS mm.
 
     Returns
     -------
@@ -209,7 +209,7 @@ def _values_at(volume: Volume, places: NDArray[np.float64]) -> NDArray[np.float6
 def _round(
     volume: Volume, voxel: NDArray[np.int64], values: NDArray[Any], reach_mm: float
 ) -> tuple[NDArray[Any], NDArray[np.float64], NDArray[np.float64]]:
-    """Return the values in a box around a voxel, their distances from the voxel in mm, and their indices (i, j, k)."""
+    """Return the values in a box round a voxel, the distances from the voxel in mm, and the indices (i, j, k)."""
     reach = np.ceil(reach_mm / np.array(volume.spacing_mm)).astype(int)
     shape = np.array(volume.shape_zyx[::-1])
     low, high = np.maximum(voxel - reach, 0), np.minimum(voxel + reach, shape - 1)

@@ -17,9 +17,9 @@ FLUID_HU = 15.0
 AIR_HU = -1000.0
 """CT value of the air in a bronchus, HU."""
 WALL_HU = 150
-"""Largest CT value to which a voxel at the border of lumen and wall may rise, HU."""
+"""Maximum CT value to which a voxel at the border of lumen and wall may rise, HU."""
 FINE = 4
-"""Number of cells along each edge of a voxel, so that a fluid level need not be at the border of a voxel."""
+"""Number of subcells along each edge of a voxel, so that a fluid level may be inside a voxel."""
 STEP_MM = 0.1
 """Distance in mm between two samples along the axis of a bronchus that is painted as filled."""
 

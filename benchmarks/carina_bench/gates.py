@@ -1,4 +1,4 @@
-"""Limits that the figures of the benchmarks must reach (from the project's plan)."""
+"""Limits that the figures of the benchmarks must meet."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ class Gate:
     limit: float
     better: Literal["higher", "lower"] = "higher"
     aim: bool = False
-    """Whether the limit is only reported, so that a missed limit is not counted as a failure."""
+    """Whether a missed limit is only reported and does not make the benchmark fail."""
     note: str | None = None
 
     @property

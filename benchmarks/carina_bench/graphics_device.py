@@ -35,7 +35,7 @@ SIZES = ((512, 512), (1920, 1080), (3840, 2160))
 """Sizes (width, height) in pixels of the pictures that are timed."""
 NUM_POSES = 10
 PICTURED = (0, 4, 9)
-"""Poses of which side-by-side pictures are written."""
+"""Indices of the poses of which side-by-side pictures are written."""
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
@@ -55,7 +55,7 @@ def timed(renderer: Renderer, view: AirwayView) -> Timed:
 
 
 def renderers(case: Case) -> dict[str, tuple[Renderer, Renderer]]:
-    """Return the renderers of each look, on the CPU and on the first graphics adapter."""
+    """Return renderers with each appearance of the walls, on the CPU and on the first graphics adapter."""
     plain, decorated = shipped(case)
     tip_lit = Renderer(case.volume, transfer=dataclasses.replace(decorated.transfer, appearance=None))
     tip_lit.prepare()
@@ -74,7 +74,7 @@ def view_of(pose: Pose, size: tuple[int, int]) -> AirwayView:
 
 
 def beside(cpu: Picture, device: Picture) -> np.ndarray:
-    """Return both pictures beside a third one that shows each pixel off by more than a level in white."""
+    """Return the CPU's and the device's picture side by side with a third one that marks pixels off by over a level."""
     off = np.abs(cpu.rgb.astype(np.int16) - device.rgb).max(axis=2) > 1
     return np.hstack([cpu.rgb, device.rgb, np.repeat((255 * off).astype(np.uint8)[..., None], 3, axis=2)])
 

@@ -44,21 +44,21 @@ Floats = NDArray[np.float64]
 
 KINDS: tuple[NoduleKind, ...] = ("solid", "solid", "part-solid", "ground-glass")
 DIAMETERS_MM, GLASS_DIAMETERS_MM = (18.0, 26.0), (6.0, 26.0)
-"""Ranges of the diameters; a smaller solid nodule has no interior for the noise. Ground glass is not classified."""
+"""Ranges of the inserted nodules' diameters in mm, solid and ground glass. Only solid nodules are classified."""
 INSIDE_MM, MOST_SPREAD_HU = 6.5, 80.0
-"""Depth in mm of the block of voxels for the noise, and largest range in HU of its smoothed values."""
+"""Depth in mm of the block of voxels in which noise is measured, and maximum range in HU of its smoothed values."""
 SAME_TILT = 0.15
-"""Largest difference of the components across slices of the directions of a nodule's edge and of its real partner.
+"""Maximum difference between a nodule's and a real edge in the component of their direction across slices.
 
 Edges across thick slices are wider than edges in them.
 """
 MAX_CANDIDATES = 20_000
 SITES = 8
-"""Number of positions on the boundary of a nodule whose edge features are averaged."""
+"""Number of positions on a nodule's boundary over which edge features are averaged."""
 AROUND_MM = 45.0
-"""Half side of the part of a CT in which real boundaries are searched."""
+"""Half side, in mm, of the part of a CT round a nodule in which real boundaries are searched."""
 STEP_MM, REACH_MM = 0.25, 4.5
-"""Step and half length of the profile across an edge."""
+"""Step and half length in mm of the profile of values across an edge."""
 FLAT_RADIUS_MM, FLAT_MM = 2.0, 0.5
 """Radius of the ring around a place on a boundary, and largest distance in mm of the boundary from its tangent plane.
 
@@ -75,7 +75,7 @@ FOLDS = 5
 
 
 def measured_share(before: Volume, made: InsertedNodule) -> float:
-    """Return the volume of the inserted density, measured from both CTs, as a share of the wanted volume."""
+    """Return the inserted nodule's volume, measured from the CT before and after, as a share of its true volume."""
     change = made.volume.hu_zyx.astype(np.float64) - before.hu_zyx
     voxel_mm3 = abs(float(np.linalg.det(before.lps_from_ijk[:3, :3])))
     total = float(change.sum()) * voxel_mm3
@@ -105,7 +105,7 @@ def _mean_inside(volume: Volume, made: InsertedNodule, shape: NoduleShape) -> fl
 
 
 def pasted(volume: Volume, made: InsertedNodule) -> Volume:
-    """Return the CT with the same nodule pasted without matching: whole voxels of one density."""
+    """Return the CT with the same nodule inserted without matching to the CT: whole voxels of one density."""
     shape = NoduleShape.of_volume(made.core_diameter_mm or made.diameter_mm, made.spiculation, made.seed)
     values = volume.hu_zyx.copy()
     ijk = np.rint(volume.to_ijk(np.array(made.centre_lps))).astype(int)
@@ -240,7 +240,7 @@ def nodule_sample(
 
 
 def _candidates(part: _Part, rng: np.random.Generator) -> Floats:
-    """Return positions (n, 3) in mm of voxels on boundaries with soft tissue behind and lung before them, shuffled."""
+    """Return positions (n, 3) in mm, in random order, of boundary voxels between soft tissue and lung."""
     edges = np.argwhere(np.abs(part.soft - EDGE_HU) < 120.0)[:, ::-1]
     size = np.array(part.values.shape[::-1])
     edges = edges[((edges > 0) & (edges < size - 1)).all(axis=1)]
@@ -261,7 +261,7 @@ def _candidates(part: _Part, rng: np.random.Generator) -> Floats:
 def real_sample(
     volume: Volume, made: InsertedNodule, tilts: tuple[float, ...], rng: np.random.Generator
 ) -> Floats | None:
-    """Return the mean features of boundaries that the CT has round a nodule, with the same components across slices."""
+    """Return the mean edge features of the CT's real boundaries round a nodule, and their components across slices."""
     part = _Part.around(volume, np.array(made.centre_lps), AROUND_MM)
     missing, found = list(tilts), []
     for at in _candidates(part, rng):
@@ -278,7 +278,7 @@ def real_sample(
 
 
 def _fitted(features: Floats, labels: Floats) -> Callable[[Floats], Floats]:
-    """Return the scores of a logistic regression with a small ridge, fitted by Newton's method."""
+    """Return the scores of a logistic regression with a small ridge penalty, fitted by Newton's method."""
     mean, spread = features.mean(axis=0), features.std(axis=0) + 1e-9
     x = np.column_stack([np.ones(len(features)), (features - mean) / spread])
     weights = np.zeros(x.shape[1])
@@ -307,7 +307,7 @@ def area_under_curve(scores: Floats, labels: Floats) -> float:
 
 
 def centred(samples: list[tuple[int, int, Floats]], other: list[tuple[int, int, Floats]]) -> tuple[Floats, Floats]:
-    """Return the features of two classes without the means of their CTs.
+    """Return the features of two classes after the mean of each CT is subtracted.
 
     Parameters
     ----------
@@ -383,7 +383,7 @@ def _opened(name: str) -> tuple[Volume, Airways]:
 
 
 def _inserted(volume: Volume, airways: Airways, number: int) -> InsertedNodule | CarinaError:
-    """Return the nodule of a number at a random free position, or the error if there is none."""
+    """Return the nodule of a number inserted at a random free position, or the error if there is no position."""
     rng = np.random.default_rng([number, 45])
     kind = KINDS[number % len(KINDS)]
     diameter = float(rng.uniform(*(GLASS_DIAMETERS_MM if kind == "ground-glass" else DIAMETERS_MM)))
@@ -400,7 +400,7 @@ def _inserted(volume: Volume, airways: Airways, number: int) -> InsertedNodule |
 
 
 def _classes(volume: Volume, made: InsertedNodule, number: int) -> dict[str, Floats] | None:
-    """Return the features of each class at one nodule; None if one of them has too few usable places."""
+    """Return the edge features of the inserted and of real boundaries at one nodule; None with too few positions."""
     rng = np.random.default_rng([number, 46])
     matched = nodule_sample(made.volume, made, rng)
     unmatched = nodule_sample(pasted(volume, made), made, rng)

@@ -29,7 +29,7 @@ WINDOW_HU = (1500.0, -600.0)
 CLEAR_BELOW_HU = -700
 """CT value in HU below which a voxel counts as clear air."""
 BIN_HU = 16
-"""Width in HU of the bins of CT values whose regions of equal bins are leaped over."""
+"""Width in HU of the bins of CT values; rays skip regions of equal bins."""
 
 
 def _case(name: str) -> Case:
@@ -55,7 +55,7 @@ def _forget_peak() -> None:
 
 
 def _labels(hu_zyx: NDArray[np.int16]) -> NDArray[np.uint8]:
-    """Return a label for each voxel: 1 for clear air, and one for each bin of 16 HU of the other voxels."""
+    """Return the label of each voxel: 1 for clear air, and one label per bin of 16 HU for the other voxels."""
     bins = np.clip((hu_zyx.astype(np.int32) - CLEAR_BELOW_HU) // BIN_HU, 0, 253) + 2
     return np.where(hu_zyx < CLEAR_BELOW_HU, 1, bins).astype(np.uint8)
 
@@ -118,7 +118,7 @@ def maps(request: Request) -> list[dict[str, Any]]:
 
 
 def prepared_maps(request: Request) -> list[dict[str, Any]]:
-    """Measure the time from CT values to the map that leaping uses, on all threads.
+    """Measure the time from CT values to the radius map that rays read to skip regions, on all threads.
 
     Carina computes this map in the background after a case is opened.
     """

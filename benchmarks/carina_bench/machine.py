@@ -1,4 +1,4 @@
-"""Description of the machine on which figures were measured, and checks for installed programs of comparison."""
+"""Description of the machine on which figures were measured, and check for the compared programs."""
 
 from __future__ import annotations
 

@@ -35,9 +35,9 @@ VIEWS = (
     "tree",
 )
 PATIENCE_S = 400.0
-"""Longest time in s to wait until every view has been received; the benchmark then fails."""
+"""Maximum time in s to wait until every view has been received; the benchmark then fails."""
 MOVES = 40
-"""Number of movements of the tip in the short flight during which memory is measured."""
+"""Number of movements of the tip during which memory is measured."""
 
 
 def _peak_bytes(process_id: int) -> int | None:

@@ -35,15 +35,15 @@ QUICK_SLICE_MM = 5.0
 CACHED, MAPPED, PLAIN = "from the cache", "mapped and touched", "read without a check"
 """Names in the report of the three ways of reading a CT that are timed."""
 FIRST_LOOK = "digest, range and quality"
-"""Name of the measurement that computes digest, value range and quality."""
+"""Name of the measurement of the time to compute digest, value range and quality."""
 NUM_FILES = 100_000
 """Number of files without images in the folder that is listed."""
 WARM_MS = 350.0
-"""Limit of the CPU time to open a CT from the cache in memory, ms."""
+"""Maximum CPU time to open a CT from the cache when its file is in memory, ms."""
 
 
 def report(*, folder: Path, quick: bool, as_json: bool) -> int:
-    """Measure, print and write ``open.json``; return 0 if the measurement was possible, even if a limit is missed."""
+    """Measure, print and write ``open.json``; return exit code 0 if measured, even if a limit is missed."""
     make_folder(folder, what="the measurements")
     facts = machine_facts()
     print_note(f"{facts['cpu']}, {facts['cores']} cores, load {facts['load_average']}")

@@ -19,7 +19,7 @@ from carina_bench.written_series import BOX_LPS, write_slices
 __all__ = ["gates", "measure"]
 
 NUM_CANCELS = 20
-"""Number of moments at which an import is cancelled."""
+"""Number of instants at which an import is cancelled, evenly spread over its duration."""
 FILES_PER_FOLDER = 1000
 OTHER = (b"%PDF-1.7 report", b"a;b;c\n1;2;3\n", b"\x89PNG\r\n", b"<html></html>", b"\x00" * 200, b"")
 """Contents of the files that are not images."""
@@ -68,7 +68,7 @@ def measure(request: dict[str, Any]) -> dict[str, Any]:
 
 
 def _grown_bytes(folder: Path) -> int:
-    """Return the growth of this process's resident memory at its peak while it opens a series.
+    """Return the peak growth of this process's resident memory while it opens a series, bytes.
 
     The peak of Linux is reset first (``clear_refs``), because generating the series needs more memory than opening it.
     """
@@ -88,7 +88,7 @@ def _status_bytes(name: str) -> int:
 
 
 def _late_s(folder: Path) -> list[float]:
-    """Return the times from the moment of a cancellation to the end of the import, at moments all over an import.
+    """Return the times from cancellation to the end of the import, for instants spread over an import.
 
     An import that ends normally after the moment ignored its cancellation, and counts with the time that it took.
     """
@@ -110,7 +110,7 @@ def _late_s(folder: Path) -> list[float]:
 
 
 def gates(row: dict[str, Any]) -> list[Gate]:
-    """Return the figures with their limits."""
+    """Return the measured figures with their limits."""
     note = f"CPU time {row['listed_cpu_s']} s; {row['listed_code']}"
     return [
         Gate("memory at the peak while a series is opened, in volumes", row["volumes_of_memory"], 1.5, "lower"),

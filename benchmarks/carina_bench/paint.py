@@ -1,4 +1,4 @@
-"""Painter of chest CTs from tubes; the true lumen of every airway is continuous and known to a fraction of a voxel.
+"""Painter of chest CTs from tubes, whose true lumen is continuous and known to a fraction of a voxel.
 
 A scene is the anatomy: CT values of tissue on a grid, and tubes over it. Painting simulates the scanner. The image
 depends linearly on the scene, so the grid is blurred as a whole. Only the changes by tubes are painted in cells of at
@@ -29,14 +29,14 @@ KERNELS = {
     "sharp": Kernel(sigma_mm=0.28, overshoot=0.18, surround_mm=0.65),
     "rimmed-medium": Kernel(sigma_mm=0.40, overshoot=0.027, surround_mm=0.65),
 }
-"""Kernels by name.
+"""Reconstruction kernels by name.
 
 The soft and the medium one correspond to a body and a lung standard kernel, with 50 % of the transfer at 3.4 and 4.7
 line pairs per cm; the sharp one is an edge-enhancing lung kernel.
 """
 
 FINE_MM = 0.15
-"""Largest width of the fine cells in which tubes are painted, mm: half a sigma of the sharpest kernel.
+"""Maximum width of the fine cells in which tubes are painted, mm: half a sigma of the sharpest kernel.
 
 With 0.2 mm the values of thin lumens would be wrong by 12 HU.
 """
@@ -57,7 +57,7 @@ class PaintOptions:
     slice_sigma_mm: float = 0.3
     """Standard deviation of a Gaussian blur along z, in addition to the slice thickness, mm."""
     breathing_mm: float = 0.0
-    """Largest difference by breathing between a slice's true and its stated position along z, mm."""
+    """Maximum difference, caused by breathing, between a slice's true and its stated position along z, mm."""
     breathing_period_mm: float = 60.0
     motion_blur_mm: float = 0.0
     """Standard deviation in mm of a blur along z by movement within a slice; from front to back it is half."""
@@ -81,7 +81,7 @@ class PaintOptions:
     """Fraction of the lung's volume, 0 to 1, in holes of 2 to 9 mm diameter."""
     emphysema_hu: float = -975.0
     vessels_beside: bool = True
-    """Whether an artery is added beside each airway without a vessel of the masks."""
+    """Whether an artery is added beside each airway that has no vessel beside it in the masks."""
     twigs_per_tip: int = 0
     twig_diameter_mm: tuple[float, float] = (1.0, 1.5)
     twig_length_mm: tuple[float, float] = (8.0, 25.0)
@@ -98,7 +98,7 @@ class PaintOptions:
     """Number of vessels of 0.3 to 0.6 mm radius per millilitre of lung (:mod:`carina_bench.paint_fine_vessels`)."""
 
     def scanner(self) -> Kernel:
-        """Kernel of :data:`KERNELS` with the name ``kernel``."""
+        """Reconstruction kernel of :data:`KERNELS` with the name ``kernel``."""
         return KERNELS[self.kernel]
 
 
@@ -157,7 +157,7 @@ class _Axis:
 
     @property
     def tile(self) -> int:
-        """Number of cells of the scene along the edge of a tile on this axis."""
+        """Number of the scene's cells along the edge of a tile (computed at once) on this axis."""
         return max(round(TILE_CELLS / self.fine), 4)
 
     @property
@@ -238,7 +238,7 @@ def _first_mm(axis: _Axis) -> float:
 
 
 def _axes(scene: Scene, options: PaintOptions, spacing: Floats) -> tuple[_Axis, _Axis, _Axis]:
-    """Return the axes x, y and z of the scene and of the image."""
+    """Return the mappings from cells of the scene to voxels of the image along x, y and z."""
     sigma = options.scanner().sigma_mm
     sigmas = (
         sigma,
@@ -268,7 +268,7 @@ def _breath(z_mm: Floats, options: PaintOptions) -> Floats:
 
 
 def _where_shown(points: Floats, z: _Axis, options: PaintOptions) -> Floats:
-    """Return points of the scene at the positions where breathing shows them in the image."""
+    """Return points of the scene moved to the positions at which breathing shows them in the image."""
     if options.breathing_mm == 0.0:
         return points
     heights_mm = np.arange(-20.0, z.cell_mm * z.num_cells + 20.0, 0.1)
@@ -308,7 +308,7 @@ def _add_tubes(
     options: PaintOptions,
     down: Floats,
 ) -> None:
-    """Add to ``values`` the change of the blurred tissue by tubes, and to ``cover`` the share of lumen."""
+    """Add the tubes' change of the blurred tissue to ``values``, and their share of lumen to ``cover``."""
     fine_mm = [axis.cell_mm / axis.fine for axis in axes]
     segments = segments_of(tubes, float(np.cbrt(np.prod(fine_mm))))
     for tile, near in _tiles(segments, axes).items():

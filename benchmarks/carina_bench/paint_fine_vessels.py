@@ -24,30 +24,30 @@ __all__ = ["FineVessel", "add_fine_vessels", "fine_vessels"]
 Floats = NDArray[np.float64]
 
 RADII_MM = (0.3, 0.6)
-"""Least and largest radius in mm of the painted fine vessels."""
+"""Minimum and maximum radius in mm of the painted fine vessels."""
 RADIUS_POWER = -2.9
 """Exponent of the density of vessels as a power of the radius.
 
 Source: numbers of arteries by radius, Singhal 1973.
 """
 LENGTH_RADII = (7.0, 14.0)
-"""Least and largest length of a vessel between two forks, in radii of the vessel."""
+"""Minimum and maximum length of a vessel between two forks, in radii of the vessel."""
 STEP_MM = 0.5
 """Distance in mm between two points of a painted vessel's centreline."""
 SAMPLE_MM = 0.25
-"""Largest distance between two points at which a vessel is added to the image, mm."""
+"""Maximum distance between two points at which a vessel is added to the image, mm."""
 REACH_SIGMAS = 3.2
 """Distance from a point within which it contributes to voxels, in standard deviations of the blur."""
 LUNG_MM = 1.5
-"""Least distance in mm of a painted vessel from the lung's border."""
+"""Minimum distance in mm of a painted vessel from the lung's border."""
 CLEAR_MM = 0.15
-"""Least distance between a vessel's surface and the outside of an airway's wall, mm."""
+"""Minimum distance between a vessel's surface and the outside of an airway's wall, mm."""
 BESIDE_SHARE = 0.25
-"""Share of the vessels that run along an airway, at most :data:`BESIDE_MM` from its wall."""
+"""Share of the vessels that run along an airway, at most :data:`BESIDE_MM` from the airway's wall."""
 BESIDE_MM = 1.2
-"""Largest distance between an airway's wall and a vessel that runs along the airway, mm."""
+"""Maximum distance between an airway's wall and a vessel that runs along the airway, mm."""
 MIN_POINTS = 4
-"""Number of points below which a painted vessel is omitted."""
+"""Minimum number of points of a painted vessel; a vessel with fewer is omitted."""
 NUM_AT_ONCE = 4000
 """Number of points that are added to the image in one step, which limits the memory."""
 
@@ -72,10 +72,10 @@ class Axis(Protocol):
 
 
 class Space(Protocol):
-    """Masks of a patient that can be tested at points."""
+    """Masks of a patient, with tests whether points are in lung or near a vessel."""
 
     def in_lung(self, points: Floats, margin_mm: float, *, num: int = 26) -> NDArray[np.bool_]:
-        """Return for each point whether it is in the lung with a margin of ``margin_mm`` in ``num`` directions."""
+        """Return a mask (n,) of points in the lung, ``margin_mm`` or more from its border in ``num`` directions."""
         ...
 
     def at_vessel(self, points: Floats, reach_mm: float) -> NDArray[np.bool_]:
@@ -213,7 +213,7 @@ def _samples(vessels: Iterable[FineVessel]) -> tuple[Floats, Floats, Floats]:
 
 
 def _weights(places: Floats, radii: Floats, axis: Axis) -> tuple[NDArray[np.int64], Floats]:
-    """Return the voxels (n, m) along an axis to which each point contributes, and the contribution per mm of 1 mm3."""
+    """Return the voxels (n, m) along an axis to which each point contributes, and the contributions."""
     # The projection of a disc onto a line has a variance of a quarter of the square of the disc's radius.
     sigma = np.sqrt(axis.sigma_mm**2 + 0.25 * radii**2)
     reach = math.ceil((0.5 * axis.voxel_mm + REACH_SIGMAS * float(sigma.max())) / axis.voxel_mm)

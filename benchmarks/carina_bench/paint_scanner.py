@@ -23,7 +23,7 @@ _STEP = 0.0025
 _AT = np.arange(-8.0, 8.0 + _STEP, _STEP)
 _NORMAL = np.array([0.5 * math.erfc(-x / math.sqrt(2.0)) for x in _AT])
 REACH_SIGMAS = 4.5
-"""Distance within which a cell contributes to a blurred voxel, in standard deviations of the blur."""
+"""Distance, in standard deviations of the blur, within which a cell contributes to a blurred voxel."""
 EDGE_PAD = 12
 """Number of pixels by which a slice is extended at its edges before it is sharpened."""
 
@@ -57,7 +57,7 @@ class Kernel:
         return 0.5 * (low + high)
 
     def raised(self, frequency: Floats, pixel_mm: float) -> Floats:
-        """Return the factor by which the overshoot raises the transfer at each frequency (1/mm, in plane)."""
+        """Return the factor by which overshoot raises the transfer function at each frequency (1/mm, in plane)."""
         surround = np.exp(-2.0 * (math.pi * self.surround_mm * frequency) ** 2)
         result: Floats = 1.0 + self.gain(pixel_mm) * (1.0 - surround)
         return result
@@ -90,7 +90,7 @@ def _edge(x: Floats, box_mm: float, sigma_mm: float) -> Floats:
 
 
 def reach_mm(box_mm: float, sigma_mm: float) -> float:
-    """Return the largest distance from a voxel's centre at which the scene contributes to the voxel, mm."""
+    """Return the maximum distance from a voxel's centre at which the scene contributes to the voxel, mm."""
     return 0.5 * box_mm + REACH_SIGMAS * sigma_mm
 
 

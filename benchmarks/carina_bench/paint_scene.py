@@ -206,7 +206,7 @@ def _places_in(mask: Mask, grid: Volume, rng: np.random.Generator, num: int = 50
 
 
 class _Space:
-    """Masks that can be tested at points (LPS mm)."""
+    """Masks with tests whether points (LPS mm) are in lung or near a vessel."""
 
     def __init__(self, masks: Masks, grid: Volume) -> None:
         self._masks = masks
@@ -222,7 +222,7 @@ class _Space:
         return result
 
     def in_lung(self, points: Floats, margin_mm: float, *, num: int = 26) -> Mask:
-        """Return for each point whether it is in the lung with a margin of ``margin_mm`` in ``num`` directions."""
+        """Return a mask (n,) of points in the lung, ``margin_mm`` or more from its border in ``num`` directions."""
         sphere = self._sphere if num == len(self._sphere) else _sphere(num)
         around = points[:, None, :] + margin_mm * sphere[None]
         inside = self._ask(self._masks.lungs, around.reshape(-1, 3)).reshape(len(points), -1)
@@ -254,7 +254,7 @@ def _across(direction: Floats, rng: np.random.Generator) -> Floats:
 
 
 def _twigs(tubes: list[Tube], space: _Space, options: PaintOptions, rng: np.random.Generator) -> list[Tube]:
-    """Return airways (twigs) that are added at the tips of tubes.
+    """Return additional small airways (twigs) at the tips of tubes.
 
     Each twig stays in the lung and clear of vessels and other airways.
     """

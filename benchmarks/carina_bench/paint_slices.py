@@ -14,7 +14,7 @@ __all__ = ["Slices", "noisy_slices", "slice_weights", "sliced"]
 Floats = NDArray[np.float64]
 
 SAME_MM = 0.15
-"""Largest difference between two thicknesses, or two distances of slices, that count as equal, mm."""
+"""Maximum difference between two thicknesses, or two distances of slices, that count as equal, mm."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,12 +33,12 @@ class Slices:
         return self.thickness_mm if self.increment_mm is None else self.increment_mm
 
     def are_thin(self, thin_mm: float) -> bool:
-        """Return whether slices of ``thin_mm`` thickness and distance can be used unchanged as these slices."""
+        """Return whether thin slices of ``thin_mm`` thickness and distance already are these slices."""
         return abs(self.distance_mm - thin_mm) <= SAME_MM and self.thickness_mm <= thin_mm + SAME_MM
 
 
 def slice_weights(num_thin: int, thin_mm: float, slices: Slices) -> tuple[Floats, float, float]:
-    """Return the weights (m, n) of n thin slices for m slices, the first slice's position and the slice distance.
+    """Return weights (m, n) of n thin slices for m slices, the position of the first slice, and the slice distance.
 
     Position and distance are in mm; the position is measured from the centre of the first thin slice. A mean over a
     slice thickness of thin slices, which are means over ``thin_mm``, has a trapezoidal profile.

@@ -26,28 +26,28 @@ MIN_RADIUS_MM = 0.45
 FLOW_EXPONENT = 2.8
 """Exponent of Murray's rule: the flow through an airway is proportional to this power of the radius."""
 MIN_FLOW = 0.3
-"""Least share of the parent's flow that the narrower airway of a painted fork receives."""
+"""Minimum share of the parent's flow that the narrower airway of a painted fork receives."""
 LENGTH_RADII = (9.0, 16.0)
-"""Least and largest length of an airway between two forks, in radii of its lumen."""
+"""Minimum and maximum length of an airway between two forks, in radii of its lumen."""
 TURN_DEG = 70.0
 """Sum of the angles between the parent's direction and the directions of both airways of a fork, degrees."""
 WALL_MM = (0.2, 0.3)
-"""Least and largest wall thickness of an airway up to 0.8 mm radius, mm; the wall of a wider airway is thicker."""
+"""Minimum and maximum wall thickness of an airway up to 0.8 mm radius, mm; the wall of a wider airway is thicker."""
 STEP_MM = 0.5
 """Distance in mm between two points of a painted airway's centreline."""
 FREE_MM = 0.35
-"""Least distance between the walls of two airways that do not share a fork, mm."""
+"""Minimum distance between the walls of two airways that do not share a fork, mm."""
 LUNG_MM = 1.5
-"""Least distance in mm of a painted airway from the lung's border."""
+"""Minimum distance in mm of a painted airway from the lung's border."""
 TRIALS = 8
 """Number of directions that are tried for each painted airway; the best one is used."""
 MAX_GENERATIONS = 8
-"""Largest number of painted generations beyond a tip of the airway mask."""
+"""Maximum number of painted generations beyond a tip of the airway mask."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _End:
-    """Free end of an airway, from which a fork may grow."""
+    """Free end of an airway, from which a painted fork may grow."""
 
     tube: Tube
     towards: Floats
@@ -57,7 +57,7 @@ class _End:
 
 
 def terminal_airways(tubes: Sequence[Tube], space: Space, share_per_mm2: float, rng: np.random.Generator) -> list[Tube]:
-    """Return the airways that grow beyond the tips of ``tubes``; each stays in the lung and clear of other airways.
+    """Return the airways that grow beyond the tips of ``tubes``, in the lung and clear of other airways.
 
     Parameters
     ----------

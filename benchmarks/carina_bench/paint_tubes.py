@@ -29,7 +29,7 @@ FAR_MM = np.float32(50.0)
 OUTSIDE_MM = 3.0
 """Distance in mm from an airway up to which `lumen_distance_at` is exact."""
 FULL_LEVEL = 0.99
-"""Level of fluid, in radii above the axis, from which the fluid fills the lumen."""
+"""Fluid level, in radii above the axis, from which fluid fills the lumen."""
 
 
 def wall_mm(radius_mm: Floats) -> Floats:
@@ -56,7 +56,7 @@ class Tube:
     filled_from: Floats | None = None
     """Level (n,) of fluid in radii above the axis: 1 fills the lumen, 0 fills half of it, -1 leaves it empty."""
     true_from: int = 0
-    """Index of the first point outside the parent's lumen; earlier points are not part of the true centreline."""
+    """Index of the first point outside the parent's lumen; the true centreline begins there."""
     thickness_mm: float | None = None
     """Thickness of the wall, mm; None computes the thickness from the radius of the lumen (:func:`wall_mm`)."""
 

@@ -1,4 +1,4 @@
-"""Measurements in the paper's setting (4.3): nearest voxel, one step per voxel, no shading, leaps in equal values."""
+"""Measurements in the paper's setting (4.3): nearest voxel, one step per voxel, no shading, equal values skipped."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ def _hollow(volume: Volume) -> np.ndarray[Any, np.dtype[np.float64]]:
 
 
 def paper_mode(request: Request) -> list[dict[str, Any]]:
-    """Measure how leaping differs from brute force: ratios of times and of steps, and difference of the pictures."""
+    """Measure how skipping differs from brute force: ratios of times and of steps, and difference of the pictures."""
     rows = []
     for name, file in FILES.items():
         volume = _eight_bit(carina.open_volume(Path(request["data_dir"]) / FOLDER / file))

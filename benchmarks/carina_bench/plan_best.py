@@ -57,9 +57,9 @@ NUM_NEEDLES = 6000
 SIGMA_ANGLE_DEG, SIGMA_TIP_MM = 4.0, 0.7
 """Standard deviations of the needle's direction, degrees, and of the scope's tip, mm."""
 TOLERANCE = 0.04
-"""Largest accepted amount by which the score of the best route exceeds that of Carina's first route."""
+"""Maximum accepted amount by which the score of the best route exceeds that of Carina's first route."""
 MIN_SHOWN = 0.003
-"""Least contribution to a difference of scores that the report lists."""
+"""Minimum contribution to a difference of scores that the report lists."""
 RANKS = ("reaches", "may reach", "does not reach")
 """Outlook of a route for each rank: index 0 is the best rank."""
 
@@ -125,12 +125,12 @@ def _aimed(
 
 
 def _worth(plan: Plan, place: Row, lost: float) -> float:
-    """Return the score of a point that loses ``lost``; for the outlook *may reach*, times the probability."""
+    """Return the score of a position that loses ``lost``; for the outlook *may reach*, times the probability."""
     return _score(plan, lost) * (place["chance"] if place["rank"] == 1 else 1.0)
 
 
 def _apart(plan: Plan, first: PlannedRoute, place: Row) -> str:
-    """Return a text with the contributions of the parts of the score to the difference between two routes.
+    """Return as text how much each part of the score contributes to the difference between two routes.
 
     The probability (chance) counts as a part. Contributions below :data:`MIN_SHOWN` are omitted.
     """

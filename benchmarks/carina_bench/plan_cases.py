@@ -30,9 +30,9 @@ Lumen = Callable[[Floats], Floats]
 Say = Callable[[str], None]
 
 RADII_MM = (4.0, 9.0)
-"""Least and largest radius in mm of a nodule that a case contains."""
+"""Minimum and maximum radius in mm of a nodule that a case contains."""
 APART_MM = 5.0
-"""Least distance between the surfaces of two nodules, so that each can be segmented alone, mm."""
+"""Minimum distance between the surfaces of two nodules, so that each can be segmented alone, mm."""
 NODULE_HU = 30.0
 """CT value of a generated nodule, HU."""
 SIGMA_MM = 0.6
@@ -42,9 +42,9 @@ STEP_MM = 0.3
 WALL_STEP_MM, WALL_MARGIN_MM = 0.6, 6.0
 """Voxel size of the field of the true wall, and distance to which it extends beyond the lumen, mm."""
 WIDE_MM = 2.5
-"""Radius in mm of a lumen above which the lumen may not be inside a nodule."""
+"""Minimum radius in mm of a lumen that must not be inside a nodule."""
 LUNG_HU = (-990.0, -600.0)
-"""Least and largest CT value of lung in which a nodule is placed, HU."""
+"""Minimum and maximum CT value of lung in which a nodule is placed, HU."""
 NEAR_SHARE, NEAR_MM, NEAR_RADIUS_MM = 0.75, 18.0, (1.2, 3.5)
 """Share of the nodules that are near airways; distance of their surface from an airway; radii of these airways.
 

@@ -1,4 +1,4 @@
-"""Comparison of the stated chance of a drive with the share of simulated drives that pass.
+"""Comparison of the stated probability of a drive with the share of simulated drives that pass.
 
 ``python -m carina_bench.plan_drive tubes`` draws measured values of tubes and their errors at random, judges by the
 measured values, and drives in the true tube. ``python -m carina_bench.plan_drive phantoms`` searches drives to tips of
@@ -42,12 +42,12 @@ WIDE_MM, NARROW_FROM_MM, LENGTH_MM = 4.2, 55.0, 110.0
 STEP_MM = 0.4
 """Distance between two samples of the wall field, mm; equal to that in `carina.wall_field`."""
 TUBE_EFFORT, PHANTOM_EFFORT = 4000.0, 200_000.0
-"""Largest efforts of a search for a drive, in a tube and in a phantom."""
+"""Maximum efforts (small steps of the model) of a search for a drive, in a tube and in a phantom."""
 
 
 @dataclass(frozen=True, slots=True)
 class TubeDrive:
-    """Stated chance of a drive through one tube, and whether the drive passed."""
+    """Stated probability of a drive through one tube, and whether the drive passed."""
 
     stated: float
     passed: bool
@@ -145,7 +145,7 @@ def drive_in_a_tube(rng: np.random.Generator, kind: str) -> TubeDrive:
 
 
 def calibration_table(drives: list[TubeDrive], edges: tuple[float, ...] = (0.0, 0.1, 0.3, 0.5, 0.7, 0.9, 1.0)) -> str:
-    """Return a table of the stated chances, in bins with these edges, and the share of the drives that passed."""
+    """Return a table of the stated probabilities, in bins with these edges, and the share of drives that passed."""
     rows = ["stated        drives  mean       passed"]
     for low, high in itertools.pairwise(edges):
         inside = [one for one in drives if low <= one.stated < high or (high == 1.0 and one.stated == 1.0)]

@@ -55,7 +55,7 @@ CHANGE_MM, CHANGE_DEG, CHANGE_SHARE, SHRINK = 0.5, 8.0, 0.15, 0.85
 """Standard deviations of the changes in the first round: of the shaft's end in mm, of the shaft's direction and of the
 arc's plane in degrees, of curvature and length as shares of the largest ones; factor between two rounds."""
 MIN_HITS, NUM_NEEDLES = 0.5, 400
-"""Least share of the needles with random errors that hit, and number of these needles."""
+"""Minimum share of the needles with random errors that hit, and number of these needles."""
 SIGMA_DEG, SIGMA_MM = 4.0, 0.7
 """Standard deviations of the needle's direction in degrees, and of the tip in mm; equal to those of the plan."""
 

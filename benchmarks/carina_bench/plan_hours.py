@@ -53,19 +53,19 @@ CONDITION = "medium-25"
 PHANTOM_SEEDS = range(1, 21)
 PATIENTS = ("Patient1", "Patient2", "Patient3", "lobes-Patient1", "lobes-Patient2")
 WIDTH_MM = 2.8
-"""Least diameter in mm of the airways of a route whose turns are checked."""
+"""Minimum diameter in mm of the airways of a route whose turns are checked."""
 SIZE_PX = 64
 STEP_MM = 0.5
 BEFORE_MM = 0.3
 FAR_MM = 40.0
 BESIDE_MM = 4.0
 MIN_PX, MAX_SHARE = 4, 0.9
-"""Least number of pixels of a true opening that is compared, and largest share of the picture.
+"""Minimum number of pixels of a true opening that is compared, and maximum share of the picture.
 
 If an opening fills the picture, the found fork is at another place than the true one: the camera is in the true branch.
 """
 MIN_WITHIN, MAX_NOT_GIVEN = 0.98, 0.1
-"""Aims: share of hours within half an hour, and share of openings without an hour (a straight view is a statement)."""
+"""Limits to be reached: share of clock hours within half an hour, and share of openings without an hour."""
 
 
 def hour_rows(case: PlanCase, *, width_mm: float = WIDTH_MM) -> Iterator[Row]:
@@ -113,7 +113,7 @@ def _off_deg(turn: Turn) -> float:
 
 
 def _dots_share(turn: Turn, outline: Mask) -> float | None:
-    """Return the share of the route's dots at the opening that are inside the drawn outline, if there is one."""
+    """Return the share of the route's dots at an opening that are inside the drawn outline; None without an outline."""
     if not outline.any() or not turn.dots_lps:
         return None
     camera, size = turn.camera("head"), outline.shape[0]

@@ -43,17 +43,17 @@ __all__ = [
 Mask = NDArray[np.bool_]
 
 WIDENED = 0.15
-"""Share by which the range of the readers' segmentations is widened on each side before the comparison."""
+"""Share by which the volume range of the readers' segmentations is widened on each side before the comparison."""
 LUNG_HU, CLOSING_MM, MIN_LUNG_ML = -400.0, 5.0, 300.0
 """Threshold and closing that find the lung of a CT, and least volume of a lung."""
 RADII_MM = (6.0, 9.0, 13.0, 18.0, 22.0, 26.0)
 MAX_FREE_MM = 18.0
-"""Largest radius in mm of a lesion that does not touch the chest wall."""
+"""Maximum radius in mm of an implanted lesion that does not touch the chest wall."""
 BRUSHES_MM: Final = (2.0, 3.0, 4.0, 6.0, 8.0, 12.0)
 """Radii in mm of the window's brush (``web/src/state/tools.ts``) that a stroke may use."""
 MAX_STROKES, MAX_POINTS = 3, 2000
 SLACK_MM = 1.0
-"""Distance in mm by which a stroke may cross the boundary that it follows."""
+"""Distance in mm by which a brush stroke may cross the boundary that it follows."""
 HALF_MM = 78.0
 """Half side length in mm of the part of the CT round an implanted lesion."""
 
@@ -77,7 +77,7 @@ class Segmented:
 
     @property
     def is_covered(self) -> bool:
-        """Whether the stated interval of the volume contains the median of the readers' segmentations."""
+        """Whether the stated interval of the volume contains the median volume of the readers' segmentations."""
         if self.nodule is None:
             return False
         off = abs(self.nodule.volume_mm3 - float(np.median(self.volumes_mm3)))
@@ -102,7 +102,7 @@ def segmented_lesion(volume: Volume, files: list[Path]) -> Segmented:
 
 @dataclass(frozen=True, slots=True)
 class BrushStroke:
-    """Stroke of the window's brush in one slice, axial, coronal or sagittal."""
+    """Brush stroke, as in the window, in one axial, coronal or sagittal slice; it adds to or removes from a nodule."""
 
     points_lps: tuple[tuple[float, float, float], ...]
     radius_mm: float

@@ -1,4 +1,4 @@
-"""Measurement of arrow and outlined opening in the rendered pictures of turns.
+"""Measurement of the arrow and the outlined opening in rendered pictures of turns.
 
 The marks are found by their colour in the pixels of a picture; no number that drew them is used. The hour of the arrow
 is the direction of its widest part on the clock's ring, the hour of the opening that of the middle of the area that the
@@ -26,15 +26,15 @@ COLOURS = ((79, 211, 230), (244, 180, 76))
 GLYPH_EDGE = (8, 10, 12)
 """Colour round letters and hours, which are drawn over an outline that leaves the picture."""
 NEAR_RGB = 90
-"""Largest sum of the differences of the channels from a colour of a mark."""
+"""Maximum sum of the channel differences between a pixel and the colour of a mark that it shows."""
 RING = 0.8
 """Radius of the circle on which the arrow is widest, as a share of half the picture."""
 MIN_ARROW, MAX_ARROW = 0.03, 0.11
-"""Least and largest width of the arrow on that circle, as a share of half the picture."""
+"""Minimum and maximum width of the arrow on that circle, as a share of half the picture."""
 MIN_AREA = 1e-3
-"""Share of the picture below which an area that marks enclose is not an outlined ostium."""
+"""Minimum share of the picture of an area, enclosed by marks, that counts as an outlined opening."""
 AGREE_HOURS = 0.25
-"""Difference in hours up to which arrow and outlined ostium agree."""
+"""Maximum difference in hours between arrow and outlined opening that agree."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,7 +126,7 @@ def apart(one: float, other: float) -> float:
 
 
 def marks_summary(pictures: Iterable[tuple[Rgb, float | None, bool]]) -> dict[str, Any]:
-    """Return the numbers of pictures that agree with themselves and with their captions.
+    """Return how many pictures have marks that agree with each other and with the caption.
 
     Parameters
     ----------

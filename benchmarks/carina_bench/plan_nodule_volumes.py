@@ -28,9 +28,9 @@ __all__ = ["Figures", "painted_figures", "phantom_figures"]
 PAINTED = ("solid", "vessel", "pleura", "ground-glass", "part-solid", "2 mm", "3 mm")
 """Kinds of nodules that are painted from exact shapes."""
 LIMITS = {"solid": 0.05, "phantom, no vessel": 0.05}
-"""Largest accepted relative error of a nodule's volume, by kind of nodule."""
+"""Maximum relative error of a nodule's volume, by kind of nodule."""
 OTHER_LIMIT = 0.15
-"""Largest accepted relative error of the volume for a kind that `LIMITS` does not list."""
+"""Maximum relative error of the volume for a kind that `LIMITS` does not list."""
 SCENES, QUICK_SCENES = 24, 4
 """Number of painted nodules of each kind, in a full and in a quick run."""
 FIRST_SCENE = 1000

@@ -42,7 +42,7 @@ FINE_MM = 0.02
 """Distance of the points at which the second calculation walks along a centreline, mm."""
 TURN_STEP_MM = 0.1
 LIMITS = {"bifurcation_deg": 1.0, "least_mm": 0.1, "curvature_per_mm": 0.005}
-"""Largest accepted differences between Carina's predictors and an independent calculation, by predictor."""
+"""Maximum differences between Carina's predictors and a calculation from their definitions, by predictor."""
 
 
 def walked(points: Points, from_mm: float, to_mm: float) -> Points:

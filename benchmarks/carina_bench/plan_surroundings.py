@@ -47,13 +47,13 @@ NUM_LINES = 60
 ROOM_MM = 14.0
 """Margin around the target and the scope's tip, mm; equal to the margin in `carina.plan.routes.plan_route`."""
 FINE_MM = 0.5
-"""Spacing of the fine volume of a phantom that holds the true vessels, mm."""
+"""Voxel size in mm of a second, finer volume of a phantom in which the true vessels are marked."""
 PHANTOM_SPACING = (0.7, 0.7, 0.8)
 """Spacing of a phantom's CT (x, y, z), mm."""
 CLASSES_MM = ((0.0, 1.0), (1.0, 1.5), (1.5, 2.5), (2.5, 4.0), (4.0, 20.0))
 """Classes of vessel diameter (lower and upper limit), mm."""
 NEAR_MM = 1.0
-"""Largest distance between a found and a true vessel voxel that count as the same vessel, mm."""
+"""Maximum distance in mm between a found and a true vessel voxel that count as the same vessel."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -200,7 +200,7 @@ def lungs_row(known: Known, num: int = NUM_LINES) -> Row:
 
 
 def lobes_row(name: str) -> Row:
-    """Return the Dice coefficients of lobes computed from airways alone, and the reliability of their certainty."""
+    """Return the Dice coefficients of lobes from airways alone, and the reliability of their stated certainty."""
     from carina_bench.paint_scene import AIRWAY_FILES, mask_folders, opened
 
     data = load_settings().data_dir

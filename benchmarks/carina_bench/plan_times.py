@@ -58,7 +58,7 @@ def random_places(volume: Volume, tree: AirwayTree, seed: int) -> dict[str, Floa
 
 
 def timed(what: str, work: Callable[[], Any]) -> Any:
-    """Return the result of some work, and print its wall time and its processor time in seconds."""
+    """Return the result of ``work``, and print its wall time and its processor time in seconds."""
     wall, cpu = time.perf_counter(), time.process_time()
     found = work()
     print(

@@ -29,19 +29,19 @@ Floats = NDArray[np.float64]
 STEP_MM, MARGIN_MM, OUTSIDE_MM = 0.4, 10.0, -6.0
 """Spacing of the sampled wall, its extent beside the route, and the distance stored outside the lumen, mm."""
 BALL_MARGIN_MM = 3.0
-"""Distance in mm from the true wall up to which the distance to the wall is sampled outside the lumen."""
+"""Maximum distance in mm outside the true wall at which distances to the wall are sampled."""
 NEAR_WALL_MM = (-2.0, 1.5)
-"""Distances in mm from the wall of the union of balls between which samples are those of the exact lumen.
+"""Distances in mm from the wall of the union of balls between which the samples use the exact lumen.
 
 Fillets move the wall of the union outwards by at most an eighth of a radius; deep inside the lumen no scope is near the
 wall.
 """
 TUBE_MM = 4.2
-"""Largest radius in mm of the exact tube; a wider lumen is wide enough for every scope."""
+"""Maximum radius in mm of the exact tube; a wider lumen is wide enough for every scope."""
 NUM_SEARCHES, EFFORT = 3, 20_000.0
 """Number of searches for a drive in the true airways, with different seeds, and the effort of each."""
 MIN_HITS, NUM_NEEDLES, EDGE_MM = 0.5, 400, 0.05
-"""Least share of needles that hit, number of simulated needles, and spacing of the tested points of a needle, mm."""
+"""Minimum share of needles that hit, number of simulated needles, and spacing of the tested points of a needle, mm."""
 
 
 def points_in_truth(case: PlanCase, target: Target, plan: Plan, place: int) -> bool:

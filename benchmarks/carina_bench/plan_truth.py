@@ -80,26 +80,26 @@ Positions at a place are refined if one of them points past the target's edge by
 NEAR_TIP_MM = 5.0
 """Distance in mm from the tip after a route's drive within which the geometric search must find a hold."""
 MIN_HITS, NUM_NEEDLES = 0.5, 400
-"""Least share of needles that hit from a hold, and number of simulated needles."""
+"""Minimum share of needles that hit from a hold, and number of simulated needles."""
 MIN_POINTS, MAX_STATED_WRONG = 0.9, 0.01
-"""Least share of reachable routes that point, and of targets that holds hit, and largest share of wrong
+"""Minimum share of reachable routes that point, and of targets that holds hit, and maximum share of wrong
 statements."""
 PATIENTS = ("Patient1", "Patient2", "Patient3", "lobes-Patient1", "lobes-Patient2")
 """Names of the patients whose CTs are painted with nodules."""
 CONDITION = "medium-25"
-"""Condition (kernel and noise) under which they are painted."""
+"""Condition (kernel and noise) under which the CTs of `PATIENTS` are painted."""
 NUM_PER_PATIENT, NUM_PER_PHANTOM = 36, 6
 """Number of painted nodules in a patient's CT and in a phantom."""
 PHANTOM_SEEDS = range(1, 21)
 """Seeds of the phantoms with nodules."""
 MIN_ARRIVE, MAX_WRONG = 0.94, 0.01
-"""Least share of reachable targets at which the route arrives; largest share of wrong statements "reachable"."""
+"""Minimum share of reachable targets at which the route arrives; maximum share of wrong statements "reachable"."""
 EDGE_MM = 0.05
-"""Distance in mm between two points of a needle at which the true tissue is tested."""
+"""Distance in mm between two points of a needle at which the true tissue is read."""
 AT_ALL_MM = 3.0
-"""Length of a true branch below which the found path need not follow its centreline, mm."""
+"""Minimum length in mm of a true branch that the found path must follow."""
 PASSED = 0.6
-"""Least share of the length of a true branch that the found path must follow."""
+"""Minimum share of the length of a true branch that the found path must follow."""
 
 
 def _code() -> str:
@@ -110,12 +110,12 @@ def _code() -> str:
 
 
 CODE = _code()
-"""Hash of the source code that plans and judges, computed at the start of this run."""
+"""Hash of the source code of planning and of this comparison, computed at the start of this run."""
 
 
 @dataclass(frozen=True, slots=True)
 class Flight:
-    """Result of following a plan's first route in the true airways."""
+    """Result of following a plan's first route through the true airways."""
 
     arrives: bool
     why: str
@@ -213,14 +213,14 @@ def _strayed(truth: TrueTree, way: Floats, at: int) -> str | None:
 
 
 def accepted(case: PlanCase, target: Target, plan: Plan) -> bool:
-    """Return whether the geometric search finds a hold that hits, near the tip after the first route's drive."""
+    """Return whether a hold that hits is near the tip after the first route's drive, by the geometric search."""
     tip = np.array(plan.routes[0].leg.tip_lps)
     found = find_hold(case.truth, target, plan.scope, plan.tool.reach_mm, near_lps=tip, near_mm=NEAR_TIP_MM)
     return found is not None
 
 
 def held(case: PlanCase, target: Target, scope: ScopePreset, reach_mm: float, wall: WallField) -> bool:
-    """Return whether the needle hits the true nodule for any position of the scope in the true airways.
+    """Return whether the needle hits the true nodule from any position of the scope in the true airways.
 
     The tested places are `HOLD_STEP_MM` apart on all branches within reach that are wide enough.
     """

@@ -76,9 +76,9 @@ SLICES = ("0.7mm", "1mm", "1.5mm", "2.5mm", "3mm")
 NUM_PER_BRANCH = 3
 """Number of compared routes that end in each branch."""
 MAX_OUTSIDE = 0.1
-"""Largest share of a route's points, without those in the trachea, that may be outside the true lumen."""
+"""Maximum share of a route's points, without those in the trachea, that may be outside the true lumen."""
 FORMER_SHARE, FORMER_SIGMA_MM = 0.2, 0.15
-"""Standard deviations that plans used before decision 0130.
+"""Standard deviations of the diameter that plans assumed before decision 0130: share of the diameter, and mm.
 
 The first is that of the largest ball, as a share of the coarsest spacing; the second is that of a scope's size, mm.
 """
@@ -145,7 +145,7 @@ def compared_routes(
 
 
 def generated_phantoms(seeds: Sequence[int]) -> Iterator[DiameterCase]:
-    """Yield generated phantoms with noise; those of even seeds have a stenosis of a main airway."""
+    """Yield generated phantoms with noise; a main airway has a stenosis if the seed is even."""
     for seed in seeds:
         for name, spacing_mm in SPACINGS_MM.items():
             made = generate_phantom(seed=seed, spacing_mm=spacing_mm, noise_hu=NOISE_HU, stenosis=seed % 2 == 0)

@@ -28,7 +28,7 @@ __all__ = ["WallThickness", "distances_to_triangles", "is_watertight", "wall_thi
 
 Floats = NDArray[np.float64]
 END_MM = 25.0
-"""Distance in mm from the beginning of the trachea within which the end is left out."""
+"""Length in mm of the printed wall, from the beginning of the trachea, that is not measured."""
 POINTS = 4000
 REACH_MM = 4.0
 
@@ -46,7 +46,7 @@ class WallThickness:
 def wall_thickness(
     made: PrintablePhantom, volume: Volume, airways: Airways, *, points: int = POINTS, seed: int = 1
 ) -> WallThickness:
-    """Measure the thickness of a printed wall without names and with closed tips."""
+    """Measure the thickness of a printed wall that has closed tips and no embossed branch names."""
     vertices, triangles = made.mesh.vertices_lps, made.mesh.triangles
     far = np.linalg.norm(vertices - airways.tree.root.points[0], axis=1) > END_MM
     # The distance to the lumen only decides on which surface a vertex is.

@@ -31,11 +31,11 @@ Request = dict[str, Any]
 SIZE = 512
 """Width and height in pixels of the pictures that are timed."""
 METHODS: tuple[Literal["brute"], Literal["leap"]] = ("brute", "leap")
-"""Methods of casting rays that are compared."""
+"""Methods of casting rays that are compared: brute force, and empty-space skipping."""
 BASELINE_REPEATS = 3
 """Number of pictures of the numba baseline for each pose; one takes 2 to 3 s in the largest case."""
 WORST = {"decorated_over_shipped": max}
-"""Function that selects the worst of several ratios, by the ratio's name; for all other ratios it is `min`."""
+"""Function that selects the worst of several ratios, by the ratio's name; `min` for other names."""
 
 
 def instruction_sets() -> list[str]:
@@ -59,7 +59,7 @@ def _shown(pose: Pose, method: Literal["leap", "brute"]) -> AirwayView:
 
 
 def shipped(case: Case, simd: str | None = None) -> tuple[Renderer, Renderer]:
-    """Return two renderers of a case with Carina's default look, one plain and one decorated.
+    """Return two renderers of a case with Carina's default appearance: without and with drawn features such as rings.
 
     Both use the wall and the tree that were found. The plain renderer draws no decoration from the tree, no droplets,
     and no second rays on silhouettes: these have a separate gate.
@@ -88,7 +88,7 @@ def num_loads(picture: Picture) -> int:
 
 
 def prepared(volume: Volume, transfer: TransferFunction, simd: str | None = None) -> Renderer:
-    """Return a renderer whose maps are built but not stored in a cache."""
+    """Return a renderer whose radius maps are built and not stored in a cache."""
     renderer = Renderer(volume, transfer=transfer, simd=simd)
     renderer.prepare()
     return renderer
@@ -306,7 +306,7 @@ def _pace(renderer: Renderer, views: list[AirwayView], rounds: int) -> dict[str,
 
 
 def first_frame(request: Request) -> list[dict[str, Any]]:
-    """Measure the time from a volume in memory to its first leaped picture, on all threads.
+    """Measure the time from a volume in memory to the first picture with empty-space skipping, on all threads.
 
     The time includes that of building all structures.
     """

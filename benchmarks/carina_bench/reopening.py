@@ -33,9 +33,9 @@ __all__ = ["measure", "report"]
 LAYOUT = {LEAD_VIEW: (960, 720), "axial": (480, 360), "coronal": (480, 360), "sagittal": (480, 360)}
 """Views of the measured window with width and height in pixels."""
 WARM_MS = 1000.0
-"""Limit in ms of the wall time from the reopening of a case to its first airway picture."""
+"""Maximum wall time in ms from the reopening of a case to its first airway picture."""
 STAGES = ("state", "first airway picture", "all views", "final airway picture")
-"""Stages of opening a saved case until which times are measured."""
+"""Stages of opening a saved case, to each of which the time is measured."""
 
 
 def report(*, folder: Path, ct: str | None, quick: bool, as_json: bool) -> int:
@@ -120,7 +120,7 @@ def measure(request: dict[str, Any]) -> dict[str, Any]:
 
 
 class _Watched:
-    """Session and a receiver of its pictures that records their times of arrival."""
+    """Session with a receiver that records the time of arrival of each picture."""
 
     def __init__(self, session: Session) -> None:
         self._session = session

@@ -50,7 +50,7 @@ def small_frames(rows: Rows) -> list[str]:
 
 
 def views(rows: Rows) -> list[str]:
-    """Return the lines of the section that compares leaping with brute force in several views."""
+    """Return the lines of the section that compares empty-space skipping with brute force in several views."""
     lines = [f"  {'view':36} {'loads':>7} {'time':>7}  leap over brute force"]
     lines += [f"  {row['view'][:36]:36} {row['loads_ratio']:7.3f} {row['time_ratio']:7.3f}" for row in rows]
     return lines
@@ -72,7 +72,7 @@ def first_frame(rows: Rows) -> list[str]:
 
 
 def paper(rows: Rows) -> list[str]:
-    """Return the lines of the section that compares leaping with brute force in the paper's setting."""
+    """Return the lines of the section that compares skipping with brute force in the paper's setting."""
     lines = [
         "  speed-up over brute force: automatic choice, forced leaps, steps; the paper: 1.7 to 3.0, error 0.0 %",
         f"  {'volume':14} {'transfer':8} {'view':15} {'auto':>6} {'forced':>6} {'(wall)':>6} {'steps':>6} "

@@ -26,7 +26,7 @@ from carina.session import CaseRecords, Session, case_files
 SIDE_PX = 512
 STEP_VOX = 1.0
 TURN_RAD = 0.02
-"""Rotation of the tip before each picture."""
+"""Rotation of the tip before each picture, radians."""
 NEVER_S = 1e9
 
 

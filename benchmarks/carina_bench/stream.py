@@ -27,11 +27,11 @@ from carina_bench.machine import machine_facts
 __all__ = ["report"]
 
 LIMIT_MS = 50.0
-"""Limit in ms of the 95th percentile of the time from a key to its picture in the browser."""
+"""Maximum of the 95th percentile of the time from a key to its picture in the browser, ms."""
 READY_S = 300.0
-"""Longest time in s to wait until the airways are found; the benchmark then fails."""
+"""Maximum time in s to wait until the airways are found; the benchmark then fails."""
 MIN_PICTURES = 5
-"""Smallest number of pictures of a measurement; an adapter in software renders about one a second."""
+"""Minimum number of pictures of a measurement; a software adapter renders about one a second."""
 PERIOD_S = 1.0 / 60.0
 """Time between two inputs, s: 60 a second, the rate of a gamepad or a screen."""
 

@@ -52,7 +52,7 @@ PHANTOM_PIXEL_MM = 0.8
 PHANTOM_SLICES_MM = (0.8, 1.5, 2.0, 3.0)
 """Distances between slices of the phantoms, mm."""
 MAX_ERROR = 0.05
-"""Largest accepted difference of mean confidence and true share, and calibration error, of a class of branches."""
+"""Maximum difference of mean confidence and true share, and maximum calibration error, of a class of branches."""
 CASES = (*PATIENTS, "phantoms")
 """Values that ``--case`` accepts: painted patients, or all phantoms."""
 

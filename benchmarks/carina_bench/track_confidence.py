@@ -43,7 +43,7 @@ QUICK_CTS, QUICK_TREES = 1, 6
 NUM_BINS = 10
 """Number of equal bins of confidence over which the calibration error is averaged."""
 MAX_ERROR, SURE, SURE_SHARE = 0.05, 0.9, 0.7
-"""Largest calibration error; confidence that counts as sure; least share of right names that are sure."""
+"""Maximum calibration error; confidence that counts as sure; minimum share of right names that are sure."""
 EDGES = (0.0, 0.5, 0.75, 0.85, 0.9, 0.925, 0.95, 0.97, 0.98, 0.99, 0.995, 0.999, 1.001)
 """Edges of the bins of a branch's score (how well its wall is visible); most branches have a score near 1."""
 
@@ -173,7 +173,7 @@ def _judged_readings(tree: AirwayTree, truth: AirwayTree) -> tuple[float | None,
 
 
 def fitted_airways(scores: Shares, hits: Shares) -> list[tuple[float, float]]:
-    """Return the map from a branch's score to its confidence, by isotonic regression over bins of the score."""
+    """Return the map from a branch's score to its confidence, fitted by isotonic regression over bins of the score."""
     blocks: list[list[float]] = []
     middles = []
     for low, high in itertools.pairwise(EDGES):

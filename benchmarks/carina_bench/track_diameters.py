@@ -46,13 +46,13 @@ SIZES_MM = (0.0, 1.6, 2.0, 2.5, 3.0, 4.0, 6.0, 10.0, 30.0)
 SIZES_VOX = (0.0, 3.0, 4.0, 6.0, 10.0, 99.0)
 """Borders in voxels of the classes of true diameter in the report."""
 MIN_IN_CLASS = 8
-"""Number of branches or routes below which the report omits a class."""
+"""Minimum number of branches or routes of a class that the report contains."""
 MIN_SECTIONS = 3
-"""Number of usable sections below which a branch is not compared."""
+"""Minimum number of usable sections of a branch that is compared."""
 MAX_BIAS = 3.0
-"""Largest accepted mean error of a class of diameters, %."""
+"""Maximum accepted mean error of a class of diameters, %."""
 MIN_COVERAGE, MAX_COVERAGE = 0.85, 0.95
-"""Least and largest accepted share of true diameters inside the stated interval, in a class."""
+"""Minimum and maximum accepted share of true diameters inside the stated interval, in a class."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -24,15 +24,15 @@ CLIP_HU = 3000.0
 CLIP_SIZE_MM = (1.5, 1.5, 5.0)
 """Size of a surgical clip along the patient's x, y and z axes, mm."""
 STREAK_HU = 900.0
-"""Largest amplitude in HU of painted metal streaks, which they have at the metal clip."""
+"""Maximum amplitude in HU of painted metal streaks, which is that at the metal clip."""
 HALF_STREAK_MM = 25.0
 """Distance from a clip at which the amplitude of its streaks is half of the largest, mm."""
 NUM_BANDS = 72
 """Number of directions in a slice for which the amplitude of a clip's streaks is drawn at random."""
 SAME_STREAKS = 0.9
-"""Correlation of the streaks of one piece of metal between two neighbouring slices."""
+"""Correlation between the streaks of one piece of metal in two neighbouring slices."""
 MIN_HU, MAX_HU = -1024, 3071
-"""Least and largest CT value that a painted volume can store, HU."""
+"""Minimum and maximum CT value that a painted volume can store, HU."""
 
 
 def with_clips(

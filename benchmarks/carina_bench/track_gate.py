@@ -1,4 +1,4 @@
-"""``carina bench track --only gate``: the assessment of a CT beside phantoms with one degradation each.
+"""``carina bench track --only gate``: quality gate (assessment of a CT) on phantoms with one degradation each.
 
 Each phantom is degraded in one way. The assessment must name this degradation and no other, and the trusted generation
 must differ from the true one by at most one. The true one is the last generation up to which the search finds at least
@@ -36,7 +36,7 @@ BOX_LPS = ((-174.0, -126.0, -232.0), (174.0, 126.0, 112.0))
 OPTIONS: dict[str, Any] = {"spacing_mm": PIXEL_MM, "noise_hu": 0.0, "generations": GENERATIONS, "box_lps": BOX_LPS}
 """Options of a phantom before its degradation."""
 FOUND = 0.8
-"""Least share of the true length of a generation that is found, for a generation that can be trusted."""
+"""Minimum share of the true length of a generation that is found, for a generation that can be trusted."""
 STEP = Step(above_lps_z=-30.0, shift_mm=(0.0, 3.3, 6.6))
 
 
@@ -115,7 +115,7 @@ DEGRADATIONS: dict[str, Degrade] = {
     "small-patient": lambda volume, seed: _noisy(_scaled(volume, 0.6), seed),
     "large-patient": lambda volume, seed: _noisy(_scaled(volume, 1.35), seed),
 }
-"""Functions that degrade a phantom without noise, by the code of the finding that must be named (none: no finding)."""
+"""Functions that degrade a phantom without noise, by the code of the finding that the gate must name."""
 
 
 def degraded(name: str, phantom: Phantom, seed: int) -> tuple[Volume, Truth]:

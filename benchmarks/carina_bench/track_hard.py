@@ -56,11 +56,11 @@ AIMS: dict[tuple[str, str], tuple[float, float]] = {
     **{(kernel, "2.5mm"): (0.82, 0.70) for kernel in KERNELS},
     **{(kernel, "3mm"): (0.75, 0.62) for kernel in KERNELS},
 }
-"""Least TD and BD, as means of the patients, by kernel and slice thickness."""
+"""Minimum TD and BD, as means of the patients, by kernel and slice thickness."""
 MIN_PRECISION = 0.98
-"""Least share of the found lumen's voxels that are within a voxel of the true lumen."""
+"""Minimum share of the found lumen's voxels that are within a voxel of the true lumen."""
 MAX_FALSE_MEDIAN, MAX_FALSE = 1, 3
-"""Largest number of false branches of a case: median over the cases, and of any case."""
+"""Maximum number of false branches of a case: median over the cases, and of any case."""
 RING_MM = (0.1, 0.3, 0.5, 0.7, 0.9)
 """Distances of the rings from the true wall of a missed lumen, mm."""
 NUM_MISSED = 600
@@ -159,7 +159,7 @@ class Missed:
     """Points of a true branch that the found lumen does not contain."""
 
     points: NDArray[np.float64]
-    """Points (n, 3) outside the found lumen, LPS mm."""
+    """Points (n, 3) of the branch outside the lumen that was found, LPS mm."""
     radius_mm: NDArray[np.float64]
     course: NDArray[np.float64]
     """Unit vectors (n, 3) along the branch at the points, LPS."""

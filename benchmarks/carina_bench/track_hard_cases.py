@@ -50,15 +50,15 @@ SLICES: dict[str, Slices] = {
 ABOVE_MM, BELOW_MM = 30.0, 55.0
 """Lengths of the painted part of the airways above and below the carina, mm."""
 QUICK_MM = (25.0, 25.0)
-"""Lengths above and below the carina that are painted in a quick run, mm."""
+"""Lengths in mm above and below the carina that a quick run paints."""
 QUICK = ("medium", "0.7mm")
 """Kernel and slices of a quick run."""
 BESIDE_MM = 8.0
-"""Margin in mm around the lungs that a painted CT contains."""
+"""Width in mm of the tissue outside the lungs that is included in a painted CT."""
 HU_STEPS = 16.0
 """Number of steps per HU of stored values, which are multiples of 1/16 HU."""
 MIN_BRONCHUS_MM2 = 25.0
-"""Area in mm2 of a piece of lumen in a slice from which the piece counts as a main bronchus."""
+"""Minimum area in mm2 of a piece of lumen in a slice that counts as a main bronchus."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

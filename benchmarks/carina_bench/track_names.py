@@ -49,7 +49,7 @@ ROUND_MM = (0.0, 2.0, 4.0, 6.0, 8.0)
 The masks exclude airways and vessels, so the lobe of a point is the majority in a ball.
 """
 CLEAR_SHARE = 0.75
-"""Least share of a lobe among the labelled voxels of a ball that counts as a clear majority."""
+"""Minimum share of a lobe among the labelled voxels of a ball that counts as a clear majority."""
 
 
 def run(quick: bool, say: Callable[[str], None]) -> list[Row]:

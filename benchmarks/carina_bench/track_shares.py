@@ -35,7 +35,7 @@ Lengths = NDArray[np.float64]
 CALIBRES = tuple(SHARES)
 """Classes of airway diameter (calibres), mm."""
 HELD_PATIENT = "lobes-Patient3"
-"""Patient that is held out for the validation."""
+"""Patient that is excluded from the fit and used for the validation."""
 PHANTOMS = {"fit": (1, 2), "held": (11,)}
 """Seeds of the phantoms from which the shares are fitted, and of those held out for the check."""
 PHANTOM_SLICES_MM = (1.5, 2.0, 2.5, 3.0, 5.0)
@@ -45,9 +45,9 @@ PIXEL_MM, NOISE_HU = 0.7, 25.0
 OVERLAPPING = ("3mm-every-2mm", "5mm-every-2.5mm")
 """Names of overlapping slices: thickness and distance."""
 MIN_LENGTH_MM = 30.0
-"""Least length of the true airways of a calibre in a case, mm; below it no share is measured."""
+"""Minimum length in mm of true airways of a calibre in a case for a measured share."""
 MAX_OUTSIDE = 0.05
-"""Largest accepted distance of a measured share from the range of the shares in the table."""
+"""Maximum distance of a measured share from the range of the shares in the table."""
 CASES = (*PATIENTS, HELD_PATIENT, "phantoms", "real")
 """Values that ``--case`` accepts: patients, phantoms, or real CTs."""
 

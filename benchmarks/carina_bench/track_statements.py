@@ -36,18 +36,18 @@ Row = dict[str, Any]
 Points = NDArray[np.float64]
 
 DISEASES = {"resected": "stump", "stump": "stump", "blocked": "filled", "filled": "filled"}
-"""Kind of finding that makes a statement true, by the kind of absence or uncertain place that states a disease.
+"""Kind of finding that makes a statement of disease true, by the kind of absence or uncertain place.
 
 The text of a stump is *it was resected, or a tumour or mucus fills it*, so a filled bronchus makes it true as well.
 """
 BADGES = {"track.tube": "tube", "track.larynx": "larynx"}
-"""Kind of finding that makes a badge true, by the badge."""
+"""Kind of finding that makes a badge (permanent note) true, by the badge's code."""
 REACH_MM = 10.0
-"""Largest distance between the place of a statement and a finding that makes it true, mm."""
+"""Maximum distance between the place of a statement and a finding that makes it true, mm."""
 PASSED_MM = 5.0
-"""Length by which a listed airway continues beyond the place of a stated disease that is therefore false, mm."""
+"""Minimum length in mm by which a listed airway continues beyond a stated disease, which is then false."""
 BLUNT_END_MM = 5.0
-"""Largest distance between the place of a stump and a blunt end of a phantom's airways that explains it, mm."""
+"""Maximum distance between the place of a stump and a blunt end of a phantom's airways that explains it, mm."""
 
 THIN_MM, THICK_MM = 1.0, 3.0
 """Slice thicknesses of the phantoms, mm."""
@@ -62,9 +62,9 @@ FLUID = ((1.0, 4.0, 9.0), (0.8, 4.0, 9.0))
 PAINTED = (("medium", "0.7mm"), ("medium", "2mm"), ("medium", "3mm"), ("sharp", "0.7mm"))
 """Kernels and slices of painted patients."""
 MIN_TRUE = 0.95
-"""Least accepted share of the search's statements that are true."""
+"""Minimum accepted share of the search's statements that are true."""
 MIN_NAMED = 0.9
-"""Least accepted share of missed segments that the list of absences contains."""
+"""Minimum accepted share of missed segments that the list of absences contains."""
 CASES = (*PATIENTS, "healthy", "resected", "filled", "tubes", "necks", "crops", "real")
 """Values that ``--case`` accepts: painted patients, and kinds of phantoms or real CTs."""
 

@@ -17,9 +17,9 @@ __all__ = ["SPUR_MM", "TrueBranch", "Truth", "sampled", "truth_of_mask", "truth_
 Points = NDArray[np.float64]
 
 SPUR_MM = 5.0
-"""Length below which a side branch of a skeleton counts as a spur (an artefact of the mask's surface), mm."""
+"""Maximum length in mm of a side branch of a skeleton that is a spur (an artefact of the mask's surface)."""
 SAMPLE_MM = 0.25
-"""Largest distance between two points of a true centreline, mm."""
+"""Maximum distance between two points of a true centreline, mm."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -95,7 +95,7 @@ def truth_of_mask(mask_zyx: NDArray[np.bool_], volume: Volume) -> Truth:
 
 
 def _tree(voxels: NDArray[np.int64], points: Points) -> tuple[NDArray[np.int64], list[int]]:
-    """Return the predecessor of each skeleton voxel on the path from the top, and the voxels with parents first.
+    """Return each skeleton voxel's predecessor on its path from the top, and the voxels in an order with parents first.
 
     The predecessor is -1 if there is none.
     """

@@ -81,7 +81,8 @@ NOT_JUDGED: tuple[tuple[str, Gap, str], ...] = (
         "other studies completeness did not differ between trained groups (Cold 2024: 17.2 and 17.3; Agbontaen 2025)",
     ),
 )
-"""Pairs that are printed without a bar: score, pair (better, worse), and why the literature does not separate them."""
+"""Pairs that are printed without a limit: score, pair (better, worse), and why the literature does not separate
+them."""
 
 
 def _scripts() -> Any:
@@ -181,7 +182,7 @@ def _novice(script: Any, case: TrainingCase, rng: np.random.Generator) -> None:
 
 
 def _sway(poses: list[np.ndarray], rng: np.random.Generator) -> None:
-    """Turn the view of each pose by an angle that wanders, with a standard deviation of 25 degrees."""
+    """Rotate the view of each pose by a slowly varying random angle with a standard deviation of 25 degrees."""
     angles = np.zeros(2)
     for n, pose in enumerate(poses):
         angles = 0.9 * angles + np.sqrt(1.0 - 0.9**2) * np.radians(25.0) * rng.standard_normal(2)

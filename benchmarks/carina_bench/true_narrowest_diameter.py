@@ -28,7 +28,7 @@ MERGED_MM = 0.05
 SHIFTS_MM = (0.5, 0.5, 0.5, 0.25, 0.12, 0.06, 0.03, 0.015)
 """Shifts of the ball perpendicular to the airway, in the order in which they are tried, mm."""
 TRIES = 3
-"""Largest number of repetitions of each shift; a shift is repeated as long as the ball grows."""
+"""Maximum number of repetitions of each shift; a shift is repeated as long as the ball grows."""
 AROUND_MM = 12.0
 """Half side of the box around a point in which wall points limit the ball, mm."""
 CONTAINS = 0.9

@@ -1,4 +1,4 @@
-"""Measurements of ``carina bench render`` that compare leaping with brute force in different views."""
+"""Measurements of ``carina bench render`` that compare empty-space skipping with brute force in different views."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ from carina_bench.render import Request, num_loads, prepared
 __all__ = ["never_slower"]
 
 PAIRS = 30
-"""Number of pairs of pictures (leaping, brute force) that are measured of each view."""
+"""Number of pairs of pictures (with skipping, by brute force) that are measured for each view."""
 SIZE = 256
-"""Width and height in pixels of the pictures in which leaping is compared with brute force."""
+"""Width and height in pixels of the pictures with skipping and by brute force."""
 
 
 def _noisy(volume: Volume) -> Volume:
-    """Return the chest with added noise of 300 HU, so that the values of the lumen are in many classes."""
+    """Return the chest with added noise of 300 HU, so that the lumen's values belong to many classes."""
     noise = np.random.default_rng(7).normal(0.0, 300.0, volume.shape_zyx)
     values = np.clip(volume.hu_zyx + noise, -1024, 3000).astype(np.int16)
     return replace(volume, hu_zyx=values)
@@ -80,7 +80,7 @@ def _scenes(case: Case) -> Iterator[tuple[str, Renderer, AirwayView]]:
 
 
 def never_slower(request: Request) -> list[dict[str, Any]]:
-    """Measure loads and times of leaping and of brute force for each view, in 30 alternating pairs on one thread."""
+    """Measure memory reads and times with and without skipping for each view, in 30 alternating pairs on one thread."""
     rows = []
     for name in request["cases"]:
         case = open_case(name, poses=2, progress=progress_printer())

@@ -56,7 +56,7 @@ T = TypeVar("T")
 Check = Callable[[str, str, Any], None]
 """Function ``check(function_name, argument_name, value)`` that raises UsageError for a wrong value."""
 COORDINATE_MM = 1e5
-"""Largest absolute coordinate in LPS mm, and largest length; equal to the bound of ``carina.value.Coordinate``."""
+"""Maximum absolute coordinate in LPS mm, and maximum length; equal to the bound of ``carina.value.Coordinate``."""
 SHOWN_CHARACTERS = 60
 PATH_CHARACTERS = 4096
 NAME_CHARACTERS = 255

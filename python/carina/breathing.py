@@ -39,7 +39,7 @@ EXHALED_POWER = 4
 MAX_BREATHING_S = 86_400.0
 """Longest time of a breathing, s; a chest that has breathed for longer rests in its last state."""
 LEAST_HEIGHT_MM = 60.0
-"""Smallest height of a tree of airways whose breathing can be simulated, mm."""
+"""Minimum height of a tree of airways whose breathing can be simulated, mm."""
 
 
 class _Branch(Protocol):
@@ -161,7 +161,7 @@ class ChestFrame:
     axis_x_mm: float = 0.0
     """x of the vertical axis towards which a cough narrows the airways."""
     axis_y_mm: float = 0.0
-    """y of that axis."""
+    """LPS y coordinate of the central airways' axis, mm."""
 
     def __post_init__(self) -> None:
         """Raise an error if the heights do not describe a chest."""
@@ -235,7 +235,7 @@ class Breathing:
     coughs_s: tuple[float, ...] = ()
     """Times at which coughs start, s."""
     collapse: float = 0.55
-    """Share of the trachea's area, 0 to 0.8, that is closed at the height of a cough."""
+    """Share of the trachea's area, 0 to 0.8, that is closed at the strongest moment of a cough."""
 
     def __post_init__(self) -> None:
         """Raise an error if a field of this `Breathing` has an invalid value."""
@@ -274,7 +274,7 @@ class Breathing:
 
     @check_arguments(time_s=bounded(86_400.0, unit="s"))
     def cough(self, time_s: float) -> float:
-        """Return the strength of the cough at a time: 0 without a cough, 1 at its height."""
+        """Return the strength of the cough at a time in s: 0 without a cough, 1 at its strongest moment."""
         since = [time_s - start for start in self.coughs_s if 0.0 < time_s - start < COUGH_S]
         return math.sin(math.pi * since[-1] / COUGH_S) ** 2 if since else 0.0
 

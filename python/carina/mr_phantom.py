@@ -31,7 +31,7 @@ FAT_HU, BONE_HU = (-150.0, -40.0), 200.0
 # HU above which water no longer belongs to lung.
 LUNG_END_HU = -500.0
 SOFT_VALUE = 400.0
-"""Value of soft tissue where the coil is neither more nor less sensitive than on average."""
+"""Value of soft tissue at places with the average sensitivity of the receiving coil."""
 # Number of voxels of the CT along each side of a voxel of the picture.
 FINE = 2
 # Number of waves of the sensitivity of the coils along each axis, over the whole picture.

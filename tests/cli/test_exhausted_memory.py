@@ -18,7 +18,7 @@ limit = pages * resource.getpagesize() + (100 << 20)
 resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
 carina.generate_phantom(spacing_mm=0.5, generations=3)
 """
-"""Program that needs several hundred megabytes and may use 100 more."""
+"""Program that allocates several hundred megabytes although it may use only 100 more."""
 
 
 def test_compiled_code_without_memory_ends_with_a_message_and_exit_code_1():

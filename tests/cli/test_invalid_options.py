@@ -19,7 +19,7 @@ NEVER = (
     "nan", "inf", "-inf", "1e300", "-1e300", "99999999999999999999", "", " ", "no-such-thing", "1,2", "nan,nan,nan",
     "x" * 5000,
 )  # fmt: skip
-"""Values outside every numeric range; no value is the name of an output file."""
+"""Values that every command must refuse: outside every numeric range, and not the name of an output file."""
 WORDS = (*NEVER, "-1", "0")
 FEW_WORDS = ("nan", "99999999999999999999", "")
 """Values of :data:`NEVER` that ``make test`` tries; the soak test tries all of them."""
@@ -87,7 +87,7 @@ def all_commands() -> dict[str, Any]:
 
 COMMANDS = all_commands()
 UNATTENDED = sorted(set(COMMANDS) - {"bench", "cluster join", "cluster start", "cluster status", "devices", "doctor"})
-"""Commands that need no network, no device and no cluster."""
+"""Commands that the test may run, because they need no network, no device and no cluster."""
 
 
 def test_table_of_valid_arguments_contains_every_command() -> None:

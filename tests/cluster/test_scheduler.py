@@ -203,7 +203,8 @@ def test_late_strip_is_issued_to_another_lane_and_the_first_reply_to_it_is_used(
     fixture.take_actions()
     [of_a], [of_b] = fixture.issued_to("a"), fixture.issued_to("b")
     assert fixture.answer(of_b, 0.01)
-    assert fixture.scheduler.deadline_s == pytest.approx(0.05)  # three times 10 ms is below the minimum
+    # Three times the expected 10 ms is less than the minimum deadline of 50 ms.
+    assert fixture.scheduler.deadline_s == pytest.approx(0.05)
     fixture.scheduler.mark_late_lanes(0.051)
     fixture.take_actions()
     assert fixture.rest == [LaneLate("a")]

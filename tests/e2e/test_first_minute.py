@@ -95,7 +95,7 @@ def test_start_page_lists_nodules_and_a_closed_browser_opens_the_same_link_again
     lesion.wait_for()
     workstation.wait_for("window.__carina.state.session.saving.saved_s !== null")
 
-    # A browser without the cookie, such as one that was closed with its windows, uses the link again.
+    # A browser without the session cookie (browsers delete it when they close) can use the start link again.
     other = open_page(browser)
     try:
         other.page.goto(server.url)

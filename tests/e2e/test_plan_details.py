@@ -29,7 +29,7 @@ def of_sizes(*usual: int) -> pytest.MarkDecorator:
 
 
 NEEDLE, LESION, STATION = (255, 255, 255), (183, 156, 255), (255, 179, 199)
-"""Colours of planned tip, target and station in the overlays."""
+"""RGB colours in which the overlays draw the planned tip, the target and the lymph node station."""
 
 
 @pytest.fixture

@@ -93,7 +93,7 @@ STATE = """() => {
 """Script that returns the state of the page, for the report about a page that hangs."""
 SHOWN_VIEWS = """() => [...document.querySelectorAll('canvas[data-view]')]
     .filter((canvas) => canvas.offsetParent).map((canvas) => canvas.dataset.view)"""
-"""Script that returns the views whose canvas is visible."""
+"""Script that returns the names of the views whose canvas is visible."""
 PIXELS = """
 window.__pixels = (view) => {
   const canvas = document.querySelector(`canvas[data-view=${view}]`);

@@ -31,7 +31,7 @@ ROOT = Path(__file__).resolve().parents[2]
 NOBODY = 65534
 SYSTEM_PYTHON = Path("/usr/bin/python3")
 OPEN = "/var/tmp"
-"""Folder that every user can read; the temporary folders of the tests are private."""
+"""Folder that every user of the machine can read, unlike the temporary folders of the tests."""
 NETWORK = re.compile(
     r"SSL_CERT_(FILE|DIR)|(https?|no|all)_proxy|UV_(NATIVE_TLS|SYSTEM_CERTS|DEFAULT_INDEX|INDEX_URL)", re.IGNORECASE
 )

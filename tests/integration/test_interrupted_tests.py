@@ -20,7 +20,7 @@ pytestmark = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="pr
 ROOT = Path(__file__).resolve().parents[2]
 WITHIN_S = 120.0
 ENDING_S = 10.0
-"""Longest time until killed processes have disappeared, seconds."""
+"""Maximum time until killed processes have disappeared, seconds."""
 TESTS = '''
 import subprocess, sys, tempfile, time
 from pathlib import Path

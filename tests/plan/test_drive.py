@@ -153,7 +153,7 @@ def test_drive_aimed_from_copied_scope_states_equals_one_simulated_from_the_begi
     scope = dataclasses.replace(thin(), tip_mm=2.6)
     way = DriveWay(tree, plan_in(points).routes[0], field)
     driven = search_drive(way, field, scope)
-    # Neither direction nor withdrawal hits enough, so that rolls and lever settings are tried too.
+    # Too few needles hit from the route's end and after withdrawals, so that rolls and lever settings are tried too.
     way.aim = way.at(way.park_mm) + np.array([2.0, 9.0, 0.0])
 
     def share(tip: np.ndarray, forward: np.ndarray) -> float:

@@ -20,7 +20,7 @@ SHAPE = (50, 40, 60)
 It is as wide as a chest at the trachea: lung on both sides of the middle, which the closing also fills.
 """
 MIDDLE = slice(22, 38)
-"""Voxels along x of the mediastinum."""
+"""Range of voxels along x that contains the mediastinum."""
 
 
 def box(*, trachea: bool) -> Box:

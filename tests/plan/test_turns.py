@@ -33,7 +33,7 @@ FILE = Path(__file__).resolve().parents[1] / "golden" / "fork-hours.json"
 SEEDS = st.integers(0, 7)
 quick = settings(max_examples=6, deadline=None)
 PIXEL_HOURS = 0.1
-"""Largest change of an hour in hours if rounding assigns pixels of the edge of an opening differently."""
+"""Maximum change of a clock hour, in hours, by rounding at the edge pixels of an opening."""
 
 
 @cache

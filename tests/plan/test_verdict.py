@@ -57,7 +57,7 @@ def tube(bend_deg: float, bend_radius_mm: float = 20.0) -> tuple[AirwayTree, Wal
     step = 0.5
     num = np.ceil((hi - lo) / step).astype(int) + 1
     axes = [lo[a] + step * np.arange(num[a]) for a in range(3)]
-    # No scope moves farther than 8 mm from the centreline, so all samples beyond have this distance.
+    # No scope moves farther than 8 mm from the centreline, so the wall's samples farther away can all have this value.
     far = 8.0
     off = np.full(num, far, dtype=np.float32)
     at = np.arange(0.0, len(points) - 1.0, 0.25)

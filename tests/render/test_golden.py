@@ -122,7 +122,8 @@ DECORATED = {
     "decorated-spurs": (AT_THE_CARINA, ("spurs",), "a pale ridge between the two bronchi, and nothing else"),
     "decorated-vessels": (DOWN_THE_TRACHEA, ("vessels",), "a few thin red lines that branch"),
 }
-"""Golden images of the decoration by name: pose, parts drawn from the airway tree, and what a person must see."""
+"""Golden images of drawn features (decoration) by name: pose, features that need the tree, and what a person must
+see."""
 
 
 def compare(name: str, found: np.ndarray, seen: str) -> None:

@@ -19,13 +19,13 @@ from carina.volume import Volume
 from volumes_of_the_paper import headsq, in_8_bits, lidc2, random_blocks
 
 BIN = 16
-"""Width of the bins that Carina compares where a volume has more than 256 values."""
+"""Width of the bins of values that count as equal in a volume with more than 256 values."""
 STOP = 1.0 / 65536.0
-"""Smallest transparency at which a ray may end; the paper's rays do not end early."""
+"""Transparency below which a ray of Carina may end; the paper's rays do not end early."""
 TOLERANCE = 0.5 + 0.02
-"""Tolerance of a colour in grey levels: rounding to 8 bits, and float32 with the rest of a ray after its end."""
+"""Tolerance of a colour in grey levels, for rounding to 8 bits and for rays that end early."""
 NEAR = 2e-5
-"""Distance in voxels from a face at which float32 may choose the voxel on the other side."""
+"""Distance in voxels from a face between voxels at which float32 may select the voxel on the other side."""
 
 
 def numbers_of(volume: Volume) -> NDArray[np.int64]:
@@ -191,7 +191,7 @@ def view_of(volume: Volume, from_mm: tuple[float, float, float], towards: tuple[
 SKIN = [[48.0, 0.9, 0.6, 0.5, 0.0], [96.0, 0.9, 0.6, 0.5, 0.3], [255.0, 1.0, 0.95, 0.9, 0.9]]
 """Transfer function whose low values are transparent."""
 FOG = [[0.0, 0.1, 0.2, 0.9, 0.004], [64.0, 0.8, 0.5, 0.4, 0.02], [255.0, 1.0, 1.0, 0.9, 0.2]]
-"""Transfer function in which each value is visible, so that each leap adds colour."""
+"""Transfer function in which every value is visible, so that each skipped segment adds colour."""
 
 
 @pytest.mark.data

@@ -23,7 +23,7 @@ pytestmark = [
     ),
 ]
 SOON_S = 0.3
-"""Seconds after which a disk counts as silent and is tried again; 2.5 s in the product."""
+"""Time in s after which these tests treat a disk as not responding (2.5 s in the product)."""
 POINTS = int(os.environ.get("CARINA_FAULT_POINTS", "200"))
 ROUNDED_S = 0.02
 """Rounding of the times of steps, seconds: they are sent in milliseconds and compared in hundredths of a second."""

@@ -15,7 +15,7 @@ from small_case import small_volume
 TURN = rotation_from_vector(np.array([0.4, -0.9, 0.2]))
 """Rotation from the coordinates of the tracker to those of the patient."""
 AWAY = np.array([120.0, -45.0, 300.0])
-"""Origin of the tracker's coordinates, LPS mm."""
+"""Position in the patient of the origin of the tracker's coordinates, LPS mm."""
 HURRY_MM = 4.0
 """Distance of the pen between two samples, mm: about 200 mm/s, which a filter cannot follow at once."""
 SAMPLE_S = 0.02

@@ -48,7 +48,7 @@ class Author:
     messages: list[str] = field(default_factory=list)
     saved: set[tuple[str, float]] = field(default_factory=set)
     refusals: int = 0
-    """Number of saves of this user that were refused."""
+    """Number of saves that this user's window refused."""
     num_warnings: int = 0
     """Number of messages about refused saves that the user received."""
 

@@ -21,7 +21,7 @@ from carina_bench.confidence_trees import degraded, turned
 NUM_TIPS = 5
 """Number of tips that are cut in each tree, one at a time."""
 CLEAR = 0.6
-"""Confidence from which a name must stay; with a lower one it may be lost, but not replaced by another name."""
+"""Minimum confidence of a name that must not be lost; a name with less may be lost, but not replaced."""
 
 
 @functools.cache

@@ -14,7 +14,7 @@ from vessel_phantom import bent_vessel
 from volumes_of_the_paper import headsq, in_8_bits, lidc2
 
 ACCURACY = 0.005
-"""Relative accuracy of path costs, which Carina sums in integers."""
+"""Relative accuracy of path costs, which Carina sums as integers."""
 
 
 def compare_with_algorithm_1(volume: Volume, root: Node, targets: list[Node]) -> list[float]:
@@ -56,7 +56,7 @@ def compare_with_algorithm_1(volume: Volume, root: Node, targets: list[Node]) ->
 
 
 MIN_SHARE = 0.95
-"""Smallest share of equal nodes of two paths; paths whose costs are nearly equal may differ."""
+"""Minimum share of equal nodes of two paths; paths whose costs are nearly equal may differ."""
 
 
 @pytest.mark.data

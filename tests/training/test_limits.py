@@ -10,10 +10,10 @@ import pytest
 from carina.scopes import Pose, WallField, scope_preset
 from carina.track import AirwayTree, Branch
 from carina.training.attempt_checks import attempt_doubts
-from carina.training.entries import entries_of, openings_entered, openings_passed
 from carina.training.flight_frames import FlightFrames, FlightOptics
 from carina.training.handling import CentrelineIndex, TipPlaces, hour_text, tip_places, wall_contacts
 from carina.training.openings_in_sight import BranchOpening, OpeningSights, openings_in_sight
+from carina.training.segment_entries import entries_of, openings_entered, openings_passed
 from carina.training.task_file import find_task
 from carina.training.visits import Visit, places_seen, progress_steps, revisits_of, visits_of
 

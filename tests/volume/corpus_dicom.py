@@ -26,7 +26,7 @@ OTHER = "Choose another series."
 MISSING_SLICES = "Copy the missing slices."
 WHOLE = {"expected": "opens", "voxels": chest}
 SECOND = chest(seed=6)
-"""HU values of a second scan: the same anatomy with other noise."""
+"""HU values of a second CT with the same anatomy and other noise."""
 
 
 def _tags(change: Callable[[int], dict[str, Any]]) -> Make:

@@ -31,11 +31,11 @@ from carina.volume import Volume
 __all__ = ["DCM2NIIX", "DICOM_ONLY", "NO_READER", "READERS", "Block", "compared", "missing_program"]
 
 TOLERANCE_MM = 1e-3
-"""Largest distance of positions that two readers may give; headers with float32 cause about 1e-4 mm."""
+"""Maximum distance of positions that two readers may give; headers with float32 cause about 1e-4 mm."""
 DCM2NIIX = shutil.which("dcm2niix")
 """Path of the program dcm2niix (Debian package of the same name); None if it is not installed."""
 NO_READER, DICOM_ONLY = "has no reader of this format", "reads DICOM only"
-"""Answers of programs to formats that they do not know."""
+"""Texts with which other programs report formats that they do not know."""
 _RAS_TO_LPS = np.diag([-1.0, -1.0, 1.0, 1.0])
 
 

@@ -95,7 +95,7 @@ def test_nifti_whose_qform_mirrors_its_sform_is_refused(tmp_path, axis):
 
 
 def test_axes_just_below_the_angle_tolerance_are_accepted_and_just_above_refused():
-    # With 100 voxels of 1 mm, 0.1 mm over 99 mm is 0.058 degrees, so the limit of the angle applies.
+    # With 100 voxels of 1 mm, a shift of 0.1 mm is 0.058 degrees: the limit of 0.2 degrees is larger and applies.
     wide = (100, 100, 100)
     for pair in itertools.combinations(range(3), 2):
         for degrees, accepted in ((0.2, True), (0.1999, True), (0.2001, False), (-0.2, True), (-0.2001, False)):

@@ -32,7 +32,7 @@ fn oblique(shape_zyx: [usize; 3]) -> Grid {
     .unwrap()
 }
 
-/// Return the distance of a point from a line segment.
+/// Return the distance in mm of a point from a line segment.
 fn off_segment(p: [f64; 3], a: [f64; 3], b: [f64; 3]) -> f64 {
     let d = [0, 1, 2].map(|i| b[i] - a[i]);
     let e = [0, 1, 2].map(|i| p[i] - a[i]);
@@ -42,7 +42,7 @@ fn off_segment(p: [f64; 3], a: [f64; 3], b: [f64; 3]) -> f64 {
 
 type Tube = ([f64; 3], [f64; 3], f64);
 
-/// Draw air inside the tubes, a wall of `wall_mm` at 0 HU, and lung of -850 HU around the wall.
+/// Draw air inside the tubes, a wall of thickness `wall_mm` at 0 HU, and lung of -850 HU around the wall.
 ///
 /// All edges are blurred over one voxel.
 fn draw(grid: &Grid, tubes: &[Tube], wall_mm: f64) -> Vec<i16> {
@@ -164,7 +164,7 @@ fn airway(grid: &Grid) -> Vec<Tube> {
     ]
 }
 
-/// Draw neck and mediastinum of soft tissue, two lungs at -880 HU, air outside the body, and the airway with a wall.
+/// Draw neck and mediastinum of soft tissue, two lungs at -880 HU, air outside the body, and the walled airway `tubes`.
 fn chest(grid: &Grid, tubes: &[Tube]) -> Vec<i16> {
     let centre = grid
         .to_lps(Ijk(grid.shape_ijk().map(|n| (n as f64 - 1.0) / 2.0)))

@@ -25,7 +25,7 @@ pub struct Mesh {
     pub triangles: Vec<[u32; 3]>,
 }
 
-/// Smallest distance of a vertex from the voxels of its grid edge, as a fraction of the edge, so that no triangle has
+/// Minimum distance of a vertex from the voxels of its grid edge, as a fraction of the edge, so that no triangle has
 /// an area of 0.
 pub(crate) const MARGIN: f64 = 0.02;
 
@@ -412,8 +412,8 @@ impl<'a> Reach<'a> {
         } else if self.in_lumen(from) {
             self.crossing(from, step)
         } else {
-            // This voxel is inside only by the extension. The crossing is computed from the lumen voxel on its other
-            // side, if that voxel exists.
+            // This voxel is inside only because the lumen is extended. The crossing is computed from the lumen voxel on its
+            // other side, if that voxel exists.
             let behind = std::array::from_fn(|a| from[a] - step[a]);
             if self.in_lumen(behind) {
                 self.crossing(behind, step) - 1.0

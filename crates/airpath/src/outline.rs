@@ -26,7 +26,7 @@ const SIDE: usize = BRICK + 1;
 ///
 /// The line moves by at most half of `APART_PX`.
 const APART_PX: f64 = 0.25;
-/// Largest number of pieces of an outline.
+/// Maximum number of pieces of an outline.
 ///
 /// A plane through any airways has fewer pieces; more indicate that noise was segmented as lumen.
 const MAX_PIECES: usize = 200_000;

@@ -440,7 +440,7 @@ impl LumenTracker {
 }
 
 impl LumenTracker {
-    /// Return the tracker of another, solved graph with the same grid and wall levels.
+    /// Return this tracker's settings with another, solved graph on the same grid with the same wall levels.
     pub(crate) fn with(&self, graph: Arc<LumenGraph>, solved: Tracker) -> Self {
         Self {
             grid: self.grid.clone(),

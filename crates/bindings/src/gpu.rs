@@ -120,10 +120,10 @@ impl Gpu {
     }
 }
 
-/// Anatomical data on a device, with the array from which they were copied.
+/// Grid of anatomical data on a device (for drawn features), with the array from which it was copied.
 type UploadedDecoration = (Py<PyArray4<f32>>, Arc<GpuDecoration>);
 
-/// Volume on a graphics device, with or without the radius map that leaps need.
+/// Volume on a graphics device, with the radius map for empty-space skipping if one was uploaded.
 #[pyclass(frozen, module = "carina._core")]
 pub(crate) struct GpuScene {
     gpu: Arc<carina_gpu::Gpu>,

@@ -181,7 +181,7 @@ fn cached<T>(
 }
 
 impl Bricks {
-    /// Return a frame that reads and fills the cached bricks.
+    /// Return a frame that reads its bricks (cubes of voxels) from a cache and adds missing ones.
     ///
     /// The cache starts empty again if the bricks do not fit the frame (another shape, or another transfer function for
     /// wall normals) or if the cache is full.
@@ -255,7 +255,7 @@ pub(crate) fn instruction_set(name: Option<&str>) -> PyResult<InstructionSet> {
 /// The items are the numbers of rays, samples, look-ups, leaps, skipped samples, shaded samples and reads.
 type PyStats = (u64, u64, u64, u64, u64, u64, u64);
 
-/// Map for leaps as passed from Python.
+/// Radius map for empty-space skipping, as passed from Python.
 ///
 /// The variants are the radius map alone; labels, radius map and one value of each class for leaps over all classes;
 /// words of labels and radii, one value of each label, and whether words are prefetched, for leaps over values.

@@ -21,7 +21,7 @@ struct WatchState {
     stopped: bool,
 }
 
-/// Shortest time between two checks whether the user pressed Ctrl-C or `cancel()` returns true.
+/// Minimum time between two checks whether the user pressed Ctrl-C or `cancel()` returns true.
 const BETWEEN_LOOKS: Duration = Duration::from_millis(50);
 
 impl PyWatch {

@@ -32,7 +32,7 @@ impl AdapterKind {
         }
     }
 
-    /// Return the time after which a device without an answer counts as lost.
+    /// Return the longest time for which this process waits for an answer of a device; a later device counts as lost.
     ///
     /// Any useful device casts a picture faster. A software device runs on the processor's cores, which other programs
     /// may occupy for minutes, so its limit is longer.
@@ -46,7 +46,7 @@ impl AdapterKind {
     }
 }
 
-/// Description of a graphics adapter for users.
+/// Description of a graphics adapter: its name, interface, driver and kind, shown to users.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct AdapterFacts {
     /// Name of the adapter as reported by the driver.
@@ -110,9 +110,9 @@ fn instance() -> &'static wgpu::Instance {
     })
 }
 
-/// Return all adapters, the likely fastest first; the order is the same during the whole process.
+/// Return all adapters, the probably fastest first; the order is the same during the whole process.
 pub(crate) fn found() -> &'static [(AdapterFacts, wgpu::Adapter)] {
-    /// Adapters of this machine, searched on first use.
+    /// Adapters of this machine; the search runs on first use.
     static FOUND: OnceLock<Vec<(AdapterFacts, wgpu::Adapter)>> = OnceLock::new();
     FOUND.get_or_init(|| {
         let adapters = pollster::block_on(instance().enumerate_adapters(wgpu::Backends::PRIMARY));

@@ -10,17 +10,17 @@ override WALLS: bool = false;
 
 // Number of samples that a ray takes after its first look-up that saved nothing (schedule of look-ups: see leap.rs).
 const MIN_PATIENCE: u32 = 2u;
-// Largest number of samples between two look-ups of a ray.
+// Maximum number of samples between two look-ups of a ray.
 const MAX_PATIENCE: u32 = 128u;
 // Number of samples before the first look-up, for rays that start in no region.
 const BLIND_SAMPLES: u32 = 8u;
-// Shortest leap, in samples, that resets the patience of a ray.
+// Minimum leap, in samples, that resets the patience of a ray.
 override PAYING_LEAP: u32 = 1u;
 // Number of steps per voxel along an axis on which a ray does not advance.
 const FAR: f32 = 1e30;
-// Largest number of steps of a leap.
+// Maximum number of ray steps that a leap over a transparent region skips.
 const MAX_STEPS: f32 = 1e9;
-// Position of the first wall of a ray that meets no wall.
+// Value of the first wall's position for a ray that meets no wall.
 const NO_HIT: f32 = -1.0;
 
 // Parameters of a picture, with the memory layout of `Uniforms` in uniforms.rs.

@@ -21,27 +21,28 @@ use crate::{
 
 /// Number of pixels along each side of the square that one workgroup casts.
 const GROUP: usize = 8;
-/// Largest number of pixels of a band; it limits the buffer of a band's rays to 40 MB.
+/// Maximum number of pixels of a band (rows that are cast together); it limits the buffer of a band's rays to 40 MB.
 const BAND_PIXELS: usize = 1 << 21;
-/// Largest number of samples of all rays of a band.
+/// Maximum number of samples of all rays of a band (rows that are cast together).
 ///
 /// Desktop systems reset a device that does not answer for about two seconds; the slowest useful device takes some 10^9
 /// samples a second.
 const BAND_SAMPLES: f64 = 5e8;
-/// Largest number of steps of a ray; f32 counts steps exactly to 2^24, and the ends of a ray are computed in f32 here.
+/// Maximum number of steps of a ray; f32 counts steps exactly to 2^24, and the shader computes the ends of a ray in
+/// f32.
 const MAX_STEPS: f64 = 4_194_304.0;
-/// Smallest number of pixels that one CPU thread converts after they were read back from the device.
+/// Minimum number of pixels that one CPU thread converts after they were read back from the device.
 const SHARE: usize = 1 << 13;
-/// Number of workgroups that compute the requested bricks of slopes.
+/// Number of workgroups that compute the requested bricks (cubes of voxels) of slopes.
 const FILL_GROUPS: u32 = 256;
-/// Largest number of workgroups that cast silhouettes again, and number of threads of each.
+/// Maximum number of workgroups that cast silhouette pixels again, and number of threads of each.
 const SMOOTH_GROUPS: usize = 512;
 const SMOOTH_THREADS: usize = 64;
-/// Number of workgroups that measure the exposure with eight rays each.
+/// Number of workgroups that cast the eight rays each from which the exposure is measured.
 const METER_GROUPS: u32 = 18;
 
 impl Gpu {
-    /// Cast and shade `rows` of a picture as 8-bit RGB, `[row, column, channel]`.
+    /// Cast and shade `rows` of a picture on the device; return 8-bit RGB, `[row, column, channel]`.
     ///
     /// `darken` applies the gains of the lens. The picture equals that of the CPU within one grey level on all but a few
     /// pixels (see the crate documentation).
@@ -133,7 +134,7 @@ impl Gpu {
         Ok((rgb.into_flattened(), stats))
     }
 
-    /// Cast the rays of `rows` without any light and return their results, including first walls, `[row, column]`.
+    /// Cast the rays of `rows` without any light; return colour, transparency and first wall of each, `[row, column]`.
     ///
     /// # Errors
     ///
@@ -212,7 +213,7 @@ impl Gpu {
         Ok((walls, stats.with_loads(frame, Method::Brute)))
     }
 
-    /// Prepare the resources of a picture.
+    /// Prepare the device's resources of a picture: buffers, directions of rays, transfer table and stores.
     ///
     /// `rows` are the rows of the picture's buffers and the number of rows of a band.
     fn prepared<'a>(
@@ -293,7 +294,7 @@ impl Gpu {
             .create_command_encoder(&wgpu::CommandEncoderDescriptor::default())
     }
 
-    /// Add a dispatch of a stage to a pass.
+    /// Add the dispatch of a stage's kernel to a compute pass.
     fn dispatch(
         &self,
         pass: &mut wgpu::ComputePass<'_>,
@@ -341,7 +342,7 @@ impl Gpu {
             .write_buffer(&picture.slot.uniforms, 0, bytemuck::bytes_of(&uniforms));
     }
 
-    /// Cast and shade the rows of a band; no result is read back.
+    /// Cast and shade the rows of a band on the device; no result is read back.
     fn band(&self, picture: &Picture<'_>, band: &Band) {
         self.write_uniforms(picture, &band.rows, band.counts_work);
         let groups = groups_of(picture.frame, &band.rows);
@@ -359,7 +360,8 @@ impl Gpu {
         self.queue.submit([encoder.finish()]);
     }
 
-    /// Smooth the silhouettes in the rows of a picture, in parts that a device finishes in time.
+    /// Smooth the silhouettes in the rows of a picture, in dispatches that are short enough for the driver's time
+    /// limit.
     fn smooth(&self, picture: &Picture<'_>, rows: &Range<usize>, parameters: &FrameParameters<'_>) {
         let Some((light, _)) = &picture.light else {
             return;
@@ -395,7 +397,7 @@ fn groups_of(frame: &Frame<'_>, rows: &Range<usize>) -> [u32; 2] {
     [frame.camera().width(), rows.len()].map(|n| n.div_ceil(GROUP) as u32)
 }
 
-/// Return the number of rows that a device casts in one dispatch, so that no dispatch takes too long.
+/// Return the number of rows that the device casts in one dispatch, so that no dispatch takes too long.
 fn rows_per_band(parameters: &FrameParameters<'_>) -> usize {
     let by_samples = BAND_SAMPLES / (parameters.width as f64 * parameters.most_steps);
     (BAND_PIXELS / parameters.width)

@@ -1,11 +1,11 @@
-//! Upload of the anatomical data that the decoration of walls reads.
+//! Upload of the grid of anatomical data, from which rings, membranous wall and ridges are drawn on walls.
 
 use carina_raycast::Decoration;
 
 use crate::{Gpu, GpuDecoration, GpuError};
 
 impl Gpu {
-    /// Upload the anatomical data of airway walls.
+    /// Upload the grid of anatomical data of airway walls to the device.
     ///
     /// # Errors
     ///

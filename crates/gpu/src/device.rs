@@ -16,10 +16,10 @@ use crate::{
     stages::{Stage, StageLayout, Variant},
 };
 
-/// Largest number of bytes of a buffer that is requested from a device.
+/// Maximum number of bytes of a buffer that is requested from a device.
 const MAX_BUFFER: u64 = 1 << 30;
 
-/// Number of the next device that is opened.
+/// Number that the next opened device gets.
 static NEXT: AtomicU64 = AtomicU64::new(1);
 
 /// Opened graphics device with the kernels of the airway view.
@@ -32,12 +32,12 @@ pub struct Gpu {
     pub(crate) queue: wgpu::Queue,
     /// Unique number of the device, which distinguishes its resources from those of other devices.
     pub(crate) id: u64,
-    /// Layouts of the stages, in the order of `stages.rs`.
+    /// Pipeline layouts of the stages, in the order of `stages.rs`.
     pub(crate) layouts: Vec<StageLayout>,
     pub(crate) no_map: GpuMap,
-    /// Buffer that replaces resources which a picture does not use.
+    /// Empty buffer, bound in place of resources that a picture does not use.
     pub(crate) nothing: wgpu::Buffer,
-    /// Buffers that no picture uses at present.
+    /// Free buffers of finished pictures, for reuse by later pictures.
     pub(crate) slots: Mutex<Vec<Slot>>,
     pub(crate) directions: Mutex<Vec<Directions>>,
     pub(crate) tables: Mutex<Vec<TableOnDevice>>,

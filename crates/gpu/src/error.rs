@@ -2,10 +2,10 @@ use carina_raycast::RaycastError;
 
 /// Errors of casts on the GPU.
 ///
-/// No error is caused by the viewer, and the CPU can render every picture instead.
+/// After any of these errors the CPU can render the picture instead.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum GpuError {
-    /// The requested adapter does not exist.
+    /// The machine has no adapter at the requested index.
     #[error("there is no graphics adapter {index}; this machine has {count}")]
     NoAdapter {
         /// Requested index of an adapter.
@@ -21,7 +21,7 @@ pub enum GpuError {
         /// Message of the driver.
         reason: String,
     },
-    /// The data do not fit on the device.
+    /// The data need more memory than the device has.
     #[error("{what} does not fit in the memory of the graphics device: {reason}")]
     DoesNotFit {
         /// Name of the data: the volume, the radius map or the picture.

@@ -46,7 +46,8 @@ pub(crate) struct LightUniforms {
 }
 
 impl LightUniforms {
-    /// Return the parameters for a dispatch that smooths `most` entries of the list of silhouettes.
+    /// Return the parameters for a dispatch that smooths at most `most` silhouette pixels, from entry `first` of their
+    /// list.
     pub(crate) fn smoothing(&self, first: usize, most: usize) -> Self {
         Self {
             first_marked: first as u32,
@@ -55,7 +56,8 @@ impl LightUniforms {
         }
     }
 
-    /// Return the parameters of a frame's lighting; `num_bricks` are the bricks along each axis and the store's capacity.
+    /// Return the parameters of a frame's lighting; `num_bricks`: number of bricks along each axis, and the store's
+    /// capacity.
     pub(crate) fn new(light: &WallLighting<'_>, num_bricks: [u32; 4]) -> Self {
         let lanes = |v: [f32; 3]| [v[0], v[1], v[2], 0.0];
         let rows = |m: [[f32; 3]; 3]| m.map(lanes);

@@ -8,7 +8,7 @@ use crate::{
     stages::{Stage, StageLayout, Variant},
 };
 
-/// Buffers of a picture that are not in its slot.
+/// Buffers of a picture that are not part of its slot: transfer table, ray directions and anatomical data.
 pub(crate) struct Tables {
     pub(crate) transfer: wgpu::Buffer,
     pub(crate) directions: wgpu::Buffer,
@@ -49,7 +49,7 @@ impl Gpu {
             .clone()
     }
 
-    /// Bind the resources of a stage.
+    /// Bind the buffers and textures of a picture to a stage's kernel.
     pub(crate) fn bound(
         &self,
         stage: Stage,

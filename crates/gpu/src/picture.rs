@@ -12,10 +12,10 @@ use crate::{
     stages::Variant,
 };
 
-/// Number of 32-bit words per pixel in the output of walls.
+/// Number of 32-bit words per pixel in the output of first walls.
 pub(crate) const WORDS_OF_A_WALL: usize = 5;
 
-/// Picture in progress: its frame, the rows of its buffers, and its resources on the device.
+/// Picture in progress: its frame, the number of rows in its buffers, and its resources on the device.
 pub(crate) struct Picture<'a> {
     pub(crate) frame: &'a Frame<'a>,
     pub(crate) resident: Resident<'a>,

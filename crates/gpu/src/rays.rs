@@ -1,4 +1,4 @@
-//! Cached data on the device that change rarely between pictures: directions behind a lens and transfer tables.
+//! Cached data on the device that change rarely between pictures: ray directions of a lens and transfer tables.
 
 use std::sync::Arc;
 
@@ -12,14 +12,16 @@ use crate::{
     resources::{Directions, TableOnDevice},
 };
 
-/// Number of cached sets of ray directions, and of cached transfer tables.
+/// Maximum number of cached sets of ray directions, and of cached transfer tables.
 ///
 /// While a camera moves, the frame budget alternates between a few picture sizes and ray steps.
 const MAX_CACHED: usize = 6;
-/// Largest number of bytes of all cached directions; one picture may need more.
+/// Maximum number of bytes of all cached ray directions; the directions of one picture are cached even if they are
+/// larger.
 const MAX_DIRECTION_BYTES: u64 = 192 << 20;
 
-/// Return the directions of the rays of a lens in camera space, with the gains of their pixels.
+/// Return for each pixel the direction of its ray through the lens, a unit vector in camera space, and the pixel's
+/// gain.
 ///
 /// The direction of a pixel without a ray is 0.
 fn directions(lens: &LensRays) -> Vec<[f32; 4]> {
@@ -36,7 +38,7 @@ fn directions(lens: &LensRays) -> Vec<[f32; 4]> {
 }
 
 impl Gpu {
-    /// Return the directions behind the lens of a camera, in a buffer for the whole picture.
+    /// Return the buffer with the ray directions of all pixels of a camera that has a lens.
     ///
     /// One buffer serves all bands of a picture. The shader computes the directions of a pinhole camera.
     pub(crate) fn directions_of(&self, camera: &Camera) -> Result<wgpu::Buffer, GpuError> {
@@ -64,7 +66,7 @@ impl Gpu {
         Ok(all[0].buffer.clone())
     }
 
-    /// Return a transfer table on the device.
+    /// Return the buffer with a transfer table; upload the table if it is not cached.
     pub(crate) fn table_of(
         &self,
         parameters: &FrameParameters<'_>,
@@ -83,7 +85,7 @@ impl Gpu {
         Ok(all[0].buffer.clone())
     }
 
-    /// Create a buffer on the device that contains zeros and that shaders can read and write.
+    /// Create a buffer of zeros on the device that shaders can read and write.
     pub(crate) fn storage(
         &self,
         what: &'static str,

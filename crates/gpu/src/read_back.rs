@@ -11,16 +11,16 @@ use crate::{
     resources::{COUNT_BYTES, RESULT_BYTES},
 };
 
-/// Number of counters of a picture's work (rays, samples, look-ups, ...) that the device returns.
+/// Number of counters of a picture's work (rays, samples, look-ups and others) that the device returns.
 const COUNTS: usize = 5;
 
-/// Results of a picture that are read back.
+/// Results of a picture that are read back: counters, and numbers of shaded walls and requested bricks.
 pub(crate) struct Results<'a> {
     pub(crate) pixels: &'a [u8],
     pub(crate) counts: &'a [u8],
     /// Number of pixels whose first wall was shaded.
     pub(crate) num_lit: u32,
-    /// Number of bricks of slopes that pictures of the volume have requested.
+    /// Number of bricks (cubes of voxels) of slopes that pictures of the volume have requested.
     num_requested: u32,
 }
 

@@ -1,4 +1,4 @@
-//! Resources on the device: volumes, maps and decorations, directions of rays, transfer tables, buffers of pictures.
+//! Resources on the device: volumes, radius maps, anatomical data, ray directions, transfer tables, picture buffers.
 
 use std::sync::{Arc, Mutex};
 
@@ -12,11 +12,11 @@ pub struct GpuVolume {
     pub(crate) view: wgpu::TextureView,
     pub(crate) shape_zyx: [usize; 3],
     pub(crate) owner: u64,
-    /// Slopes at the voxels near walls, from earlier pictures.
+    /// Store of the slopes (smoothed gradients) at voxels near walls, which earlier pictures have filled.
     pub(crate) slopes: Mutex<Option<Arc<SlopeStore>>>,
 }
 
-/// Radius map for leaps in the memory of the device.
+/// Radius map of uniform regions, which rays skip (empty-space skipping), in the memory of the device.
 #[derive(Debug)]
 pub struct GpuMap {
     pub(crate) view: wgpu::TextureView,
@@ -24,7 +24,7 @@ pub struct GpuMap {
     pub(crate) owner: u64,
 }
 
-/// Anatomical data of airway walls on the device.
+/// Grid of anatomical data of airway walls on the device, for drawn features such as cartilage rings.
 #[derive(Debug)]
 pub struct GpuDecoration {
     pub(crate) cells: wgpu::Buffer,
@@ -32,18 +32,18 @@ pub struct GpuDecoration {
     pub(crate) owner: u64,
 }
 
-/// Data of a scene on one device: volume, radius map for leaps, and anatomical data for the decoration.
+/// Data of a scene on one device: volume, radius map for empty-space skipping, and anatomical data for drawn features.
 #[derive(Debug, Clone, Copy)]
 pub struct Resident<'a> {
     /// Values of the frame's volume.
     pub volume: &'a GpuVolume,
-    /// Radius map for leaps over transparent classes; without a map the casters read every sample of a ray.
+    /// Radius map of transparent regions, which rays skip; without a map the casters read every sample of a ray.
     pub map: Option<&'a GpuMap>,
-    /// Anatomical data of the frame; without them, a decorated picture uploads them.
+    /// Anatomical data for drawn features; without them on the device, a picture that needs them uploads them.
     pub decoration: Option<&'a GpuDecoration>,
 }
 
-/// Unit directions and gains of the pixels behind a lens, in camera space.
+/// Ray directions (unit vectors in camera space) and gains of the pixels of a lens.
 #[derive(Debug)]
 pub(crate) struct Directions {
     pub(crate) buffer: wgpu::Buffer,
@@ -51,24 +51,24 @@ pub(crate) struct Directions {
     pub(crate) lens: Arc<LensRays>,
 }
 
-/// Transfer table (colour and opacity by value) in the memory of the device.
+/// Buffer with a transfer table (colour and opacity by value).
 #[derive(Debug)]
 pub(crate) struct TableOnDevice {
     pub(crate) buffer: wgpu::Buffer,
     pub(crate) entries: Vec<[f32; 4]>,
 }
 
-/// Number of bytes of the counters of a picture's work in the buffer that is read back.
+/// Number of bytes of the work counters at the start of the buffer that is read back.
 pub(crate) const COUNT_BYTES: u64 = 40;
-/// Number of bytes of the results at the start of `State` that are read back.
+/// Number of bytes of `State` that are read back; they are its first.
 pub(crate) const RESULT_BYTES: u64 = 16;
-/// Number of bytes of `State` before the list of silhouettes.
+/// Number of bytes of `State` that precede the list of silhouette pixels.
 pub(crate) const STATE_BYTES: u64 = RESULT_BYTES + 4 * 144;
 
 /// Sizes of the buffers of a picture.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) struct SlotSize {
-    /// Number of pixels for which the slot's buffers have colours, depths and silhouettes.
+    /// Number of pixels for which the buffers have room for colours, depths and silhouette marks.
     pub(crate) num_pixels: u64,
     /// Size in bytes of the buffer for the first walls of a band.
     pub(crate) wall_bytes: u64,

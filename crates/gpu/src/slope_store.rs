@@ -1,8 +1,8 @@
-//! Store of the slopes at the voxels near walls, which the device fills and all pictures of a volume share.
+//! Store on the device of the slopes (smoothed gradients) at the voxels near walls, shared by all pictures of a volume.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 
-/// Bricks of slopes of one volume, for one transfer function.
+/// Bricks (cubes of voxels) of the slopes of one volume, for one transfer function.
 #[derive(Debug)]
 pub(crate) struct SlopeStore {
     pub(crate) reach: [f32; 3],
@@ -18,7 +18,7 @@ pub(crate) struct SlopeStore {
 }
 
 impl SlopeStore {
-    /// Record the number of bricks that pictures have requested.
+    /// Record how many bricks pictures have requested; the store is full if this number exceeds its capacity.
     pub(crate) fn record_requested(&self, requested: u32) {
         let [ni, nj, nk, capacity] = self.num_bricks;
         if requested >= capacity && capacity < ni * nj * nk {
@@ -26,7 +26,7 @@ impl SlopeStore {
         }
     }
 
-    /// Empty the store if it is full; the bricks of other pictures in progress are filled again.
+    /// Empty the store if it is full; pictures in progress then request their bricks again.
     pub(crate) fn empty_if_full(&self, encoder: &mut wgpu::CommandEncoder) {
         if self.is_full.swap(false, Ordering::Relaxed) {
             encoder.clear_buffer(&self.bricks, 0, None);

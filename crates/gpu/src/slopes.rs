@@ -1,4 +1,4 @@
-//! Choice of the store of slopes for a volume and a lighting.
+//! Selection of the slope store of a volume for a lighting.
 
 use std::sync::{Arc, Mutex, atomic::AtomicBool};
 
@@ -12,7 +12,8 @@ const BRICK_BYTES: usize = 1024;
 const HEADER_BYTES: usize = 16;
 
 impl Gpu {
-    /// Return the store of a volume's slopes for a lighting, given the place of the stored one; it starts empty for another transfer function.
+    /// Return the slope store of a volume for a lighting: the one in `stored`, or a new empty one if the transfer
+    /// function has changed.
     pub(crate) fn slopes_of(
         &self,
         stored: &Mutex<Option<Arc<SlopeStore>>>,

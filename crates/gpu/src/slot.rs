@@ -1,4 +1,4 @@
-//! Reusable buffers on the device for pictures in progress.
+//! Buffers on the device for pictures in progress, which later pictures reuse.
 
 use crate::{
     Gpu, GpuError,
@@ -9,7 +9,7 @@ use crate::{
 };
 
 impl Gpu {
-    /// Return buffers of at least the given sizes; free buffers are reused.
+    /// Return picture buffers of at least the given sizes; reuse free buffers if they are large enough.
     pub(crate) fn slot(&self, size: SlotSize) -> Result<Slot, GpuError> {
         {
             let mut free = lock(&self.slots);

@@ -1,4 +1,4 @@
-//! Stages of a picture: kernels of the shader, their variants, and the resources that each binds.
+//! Rendering stages of a picture: kernels of the shader, their variants, and the resources that each kernel binds.
 
 /// Variant of the kernel, given by the override constants of `airway.wgsl`.
 #[allow(
@@ -14,7 +14,7 @@ pub(crate) struct Variant {
 }
 
 impl Variant {
-    /// Return the names and values of the override constants.
+    /// Return the names and values of the kernel's override constants.
     pub(crate) fn constants(self) -> Vec<(&'static str, f64)> {
         let switches = [
             ("SHADED", self.shaded),
@@ -28,28 +28,28 @@ impl Variant {
     }
 }
 
-/// Stage of a picture: one kernel of the shader.
+/// Rendering stage of a picture: one kernel of the shader.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub(crate) enum Stage {
     /// Cast the rays of a band.
     Cast,
-    /// Cast the rays from which the exposure is computed.
+    /// Cast a few rays over the whole picture, from which the exposure is computed.
     Meter,
-    /// Compute the exposure from the metered rays.
+    /// Compute the exposure from the rays of [`Stage::Meter`].
     Expose,
-    /// Request the bricks of slopes that a band needs.
+    /// Mark the bricks of slopes that the walls of a band need.
     Request,
-    /// Compute the slopes of the requested bricks.
+    /// Compute the slopes of the bricks that [`Stage::Request`] marked.
     Fill,
     /// Shade the walls of a band.
     Light,
-    /// List the pixels that are on silhouettes.
+    /// List the pixels on silhouettes, where a near wall ends in front of a far wall.
     Mark,
-    /// Cast and shade two rays for each listed pixel.
+    /// Cast and shade two rays for each pixel in the list of [`Stage::Mark`].
     Smooth,
 }
 
-/// All stages, in the order of the layouts of a device.
+/// All stages, in the order of the layouts in `Gpu::layouts`.
 const STAGES: [Stage; 8] = [
     Stage::Cast,
     Stage::Meter,
@@ -76,7 +76,7 @@ impl Stage {
         }
     }
 
-    /// Return the numbers of the resources that the stage binds; a stage may bind eight storage buffers on any device.
+    /// Return the binding numbers of the stage's resources; a device supports at least eight storage buffers per stage.
     pub(crate) const fn bindings(self) -> &'static [u32] {
         match self {
             Self::Cast => &[0, 1, 2, 3, 4, 5, 6, 7],
@@ -118,7 +118,7 @@ impl StageLayout {
     }
 }
 
-/// Return the kind of the resource with a number, as the shader declares it.
+/// Return the layout entry (kind of resource) of a binding number, equal to the shader's declaration.
 fn layout_entry(binding: u32) -> wgpu::BindGroupLayoutEntry {
     let texture = |sample_type| wgpu::BindingType::Texture {
         sample_type,

@@ -50,12 +50,12 @@ pub(crate) struct Band {
     pub(crate) rows: Range<usize>,
     /// Rows for which the buffers of the picture have space.
     pub(crate) all: Range<usize>,
-    /// Whether the work of the band is counted.
+    /// Whether the counters of rays, samples and look-ups include this band.
     pub(crate) counts_work: bool,
 }
 
 impl Uniforms {
-    /// Return the parameters for a band of a frame; `darken` applies the gains of the lens.
+    /// Return the parameters for a band of a frame; `darken` multiplies pixels by the gains of the lens (vignette).
     pub(crate) fn new(frame: &Frame<'_>, band: &Band, darken: bool) -> Self {
         let parameters = &frame.parameters();
         let camera = frame.camera();

@@ -4,7 +4,7 @@ use std::sync::Mutex;
 
 use crate::{Gpu, GpuError, GpuMap, GpuVolume};
 
-/// Number of bytes that are passed to the driver at a time; the driver stores a copy of each part until its upload.
+/// Number of bytes that are passed to the driver at a time; the driver copies each part until the part is uploaded.
 const UPLOAD_BYTES: usize = 32 << 20;
 
 impl Gpu {
@@ -28,7 +28,7 @@ impl Gpu {
         })
     }
 
-    /// Upload the radius map of the transparent classes' cells, `[z, y, x]`.
+    /// Upload the radius map of the cells of transparent classes, `[z, y, x]`.
     ///
     /// # Errors
     ///

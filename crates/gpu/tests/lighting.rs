@@ -21,7 +21,7 @@ use proptest::{
 };
 use scene::{Scene, any_scene, options};
 
-/// Look with light alone: no texture and no decoration.
+/// Appearance with light only: no texture and no drawn features.
 const PLAIN: Appearance = Appearance {
     guides_mm: [[-1.9, -0.5, 0.0], [1.9, -0.5, 0.3]],
     exposure: None,
@@ -43,7 +43,7 @@ const PLAIN: Appearance = Appearance {
     spurs: 0.0,
 };
 
-/// Look of a case, with the decorations of the shipped transfer function.
+/// Appearance of a new case, with the drawn features of the shipped transfer function.
 const SHIPPED: Appearance = Appearance {
     texture: 1.0,
     vessels: 0.5,
@@ -56,7 +56,7 @@ const SHIPPED: Appearance = Appearance {
     ..PLAIN
 };
 
-/// Looks that each enable other stages of the shading.
+/// Return appearances that each enable other stages of the shading, with their names.
 fn looks() -> Vec<(&'static str, Appearance)> {
     vec![
         ("plain", PLAIN),
@@ -140,7 +140,8 @@ fn radius(scene: &Scene) -> Vec<u8> {
     cell_map(&labels, scene.grid.shape_zyx()).unwrap()
 }
 
-/// Grid of anatomical data round a scene: phases that grow along an oblique axis, and strengths of all decorations.
+/// Grid of anatomical data round a scene: ring phases that grow along an oblique axis, and strengths of all drawn
+/// features.
 struct Anatomy {
     numbers: Vec<f32>,
     shape_zyx: [usize; 3],
@@ -205,7 +206,7 @@ impl Pair {
     }
 }
 
-/// Differences between pictures of the CPU and of the GPU.
+/// Statistics of the differences between pictures of the CPU and of the GPU.
 #[derive(Debug, Default)]
 struct Tally {
     num_off: usize,

@@ -4,7 +4,7 @@
 
 use core::f64::consts::PI;
 
-/// Largest angle from the axis for which a perspective model has a point on the picture: 89.99 degrees, in radians.
+/// Maximum angle from the axis for which a perspective model has a point on the picture: 89.99 degrees, in radians.
 const MAX_PERSPECTIVE_ANGLE_RAD: f64 = 89.99 * PI / 180.0;
 /// Step of the search for the angle at which a model folds back: 0.01 degrees, in radians.
 const FOLD_STEP_RAD: f64 = 0.01 * PI / 180.0;

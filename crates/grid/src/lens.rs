@@ -7,12 +7,12 @@ use core::f64::consts::PI;
 
 use crate::{Distortion, GridError};
 
-/// Smallest field of view of a camera, 1 degree: a tele lens for a view of a landmark from outside.
+/// Minimum field of view of a camera, 1 degree: a tele lens for a view of a landmark from outside.
 pub const MIN_FOV_RAD: f64 = core::f64::consts::PI / 180.0;
-/// Largest field of view of a pinhole camera, 170 degrees: at 180 the image plane is infinite.
+/// Maximum field of view of a pinhole camera, 170 degrees: at 180 the image plane is infinite.
 pub const MAX_FOV_RAD: f64 = 170.0 * core::f64::consts::PI / 180.0;
 
-/// Largest relative difference between the scales of width and height, if a calibration is used for another picture
+/// Maximum relative difference between the scales of width and height, if a calibration is used for another picture
 /// size.
 ///
 /// The tolerance allows for rounding to whole pixels.

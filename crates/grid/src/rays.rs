@@ -240,7 +240,7 @@ impl LensRays {
         [self.dirs[0][n], self.dirs[1][n], self.dirs[2][n]]
     }
 
-    /// Return the gain of a pixel, up to [`FULL_GAIN`].
+    /// Return the factor, at most [`FULL_GAIN`], by which the vignette multiplies the brightness of a pixel.
     #[must_use]
     pub fn gain(&self, column: usize, row: usize) -> u16 {
         let gains = self.gains.as_ref();

@@ -1,4 +1,4 @@
-/// Errors of the input of an `IsoRegion` map.
+/// Errors of the input from which an `IsoRegion` map (radii of cubes of equal labels) is built.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum IsoRegionError {
     /// The number of labels does not match the shape of the volume.

@@ -1,14 +1,14 @@
-//! Label volumes, whose equal labels form the regions of an `IsoRegion` map.
+//! Label volumes; cubes of equal labels are the regions of an `IsoRegion` map (paper 4.1).
 
 use crate::{IsoRegionError, threads::num_threads};
 
-/// Width of a bin of the paper's value labelling, HU; 256 bins cover the 4096 HU of a 12-bit CT.
+/// Width of a bin, HU: the paper labels voxels by bins of values; 256 bins cover the 4096 HU of a 12-bit CT.
 pub const VALUE_BIN_HU: i32 = 16;
 
 /// Colour (not premultiplied) and opacity per reference length, 0 to 1.
 pub type Rgba = [f64; 4];
 
-/// Class of a label: a maximal run of HU with one colour, or one bin.
+/// HU range of one label: a maximal run of HU whose transfer-table entries are one colour, or one bin.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Class {
     /// First HU of the class.
@@ -24,13 +24,13 @@ pub struct Class {
 /// Label volume, and the class of each label.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ClassLabels {
-    /// Label of each voxel, `[z, y, x]`; label 0 is never leaped.
+    /// Label of each voxel, `[z, y, x]`; rays never skip voxels with label 0.
     pub labels: Vec<u8>,
     /// Class of each label, `classes[label - 1]`, most frequent class first.
     pub classes: Vec<Class>,
 }
 
-/// Return the bin of a value in HU in the paper's value labelling.
+/// Return the bin, the range of 16 HU that the paper labels as one, of a value in HU.
 #[must_use]
 pub const fn value_bin(hu: i32) -> i32 {
     hu.div_euclid(VALUE_BIN_HU)
@@ -52,7 +52,7 @@ pub fn value_labels(hu: &[i16], transparent: impl Fn(i32, i32) -> bool) -> Class
     )
 }
 
-/// Label voxels by classes: maximal runs of HU whose table entries have one colour.
+/// Label voxels by classes: maximal runs of HU whose transfer-table entries are one colour.
 ///
 /// `table[n]` is the entry of `lo_hu + n`. Values below and above the table count as its first and last entry. All
 /// entries of opacity 0 count as one colour. A class is one *contiguous* run, because interpolation between two
@@ -73,7 +73,7 @@ pub fn class_labels(
     Ok(label_runs(hu, selected.collect()))
 }
 
-/// Return the transparent runs of a table in order, as the first and last value of each.
+/// Return the maximal runs of transparent entries of a table in ascending order, as the first and last HU of each.
 ///
 /// A map of the transparent classes depends only on these runs and the volume.
 ///
@@ -87,13 +87,13 @@ pub fn transparent_runs(lo_hu: i32, table: &[Rgba]) -> Result<Vec<(i16, i16)>, I
     Ok(clear.map(|(lo, hi, _)| (value(lo), value(hi))).collect())
 }
 
-/// Label voxels by given transparent runs; voxels in no run get label 0.
+/// Label voxels by the given runs of values (first, last); voxels in no run get label 0.
 pub(crate) fn run_labels(hu: &[i16], runs: &[(i16, i16)]) -> ClassLabels {
     let runs = runs.iter().map(|&(lo, hi)| (lo.into(), hi.into(), true));
     label_runs(hu, runs.collect())
 }
 
-/// Return the maximal runs of one colour as `(lo, hi, transparent)`.
+/// Return the maximal runs of HU with one colour as `(first HU, last HU, whether transparent)`.
 ///
 /// The first and the last run are extended over all int16 values.
 fn runs_of_one_colour(lo_hu: i32, table: &[Rgba]) -> Result<Vec<(i32, i32, bool)>, IsoRegionError> {
@@ -188,7 +188,7 @@ fn histogram(hu: &[i16]) -> Vec<u64> {
     sum
 }
 
-/// Label disjoint runs, the most frequent run first; values in no run get label 0.
+/// Label voxels by disjoint runs of HU, the most frequent run first; voxels in no run get label 0.
 fn label_runs(hu: &[i16], runs: Vec<(i32, i32, bool)>) -> ClassLabels {
     let counts = histogram(hu);
     let clamp = |v: i32| position(v.clamp(i16::MIN.into(), i16::MAX.into()) as i16);

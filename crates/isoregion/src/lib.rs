@@ -1,4 +1,5 @@
-//! `IsoRegion` maps (paper 4.1, 4.2) and the `IsoRegion` step table (paper 4.3).
+//! `IsoRegion` maps: the radius of the largest cube of equal labels round each voxel (paper 4.1, 4.2), and segment
+//! tables (4.3).
 //!
 //! The radius of a voxel is the largest `d` such that the `(2d+1)^3` cube round it is in the volume and has one label.
 //! [`paper_radius_map`] is the paper's slow, readable construction; [`radius_map`] gives the same map and is for

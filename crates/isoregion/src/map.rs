@@ -1,4 +1,4 @@
-//! Fast construction of the radius maps of voxels and of cells.
+//! Fast construction of radius maps: the radius of the largest cube of equal labels round each voxel or cell.
 
 use carina_grid::InstructionSet;
 
@@ -12,21 +12,21 @@ use crate::{
     uniform::{Source, Unit},
 };
 
-/// Smallest number of slices of a slab that is divided; the division of a thinner slab takes longer than a second
-/// thread saves.
+/// Minimum number of slices of a slab that is divided between two threads; for fewer slices the division costs more
+/// than it saves.
 const MIN_SLAB_SLICES: usize = 8;
 
-/// Largest number of value intervals for which a map of cells is built without labels.
+/// Maximum number of value intervals for which a map of cells is built directly from values, without labels.
 ///
 /// With more intervals, a volume of labels is built first.
 const MAX_RUNS: usize = 4;
 
-/// Settings for the construction of a map; they change the speed but not the map.
+/// Settings for the construction of a radius map; they affect its duration but not its result.
 #[derive(Clone, Copy)]
 pub struct MapBuilder<'a> {
     /// Instruction set of the processor with which the map is computed.
     pub simd: InstructionSet,
-    /// Number of slabs of slices, rounded up to a power of two; each slab has its own thread.
+    /// Number of slabs (groups of slices), rounded up to a power of two; one thread computes each slab.
     pub num_slabs: usize,
     /// Function that any thread calls once per slice; `None` if the construction cannot be cancelled.
     ///
@@ -152,7 +152,7 @@ impl MapBuilder<'_> {
         self.cancelled.is_some_and(|cancelled| cancelled())
     }
 
-    /// Compute exact distances within slices `first_z ..` of a volume.
+    /// Compute the radii within slices `first_z ..` of a volume, exact as if the volume ended at the slab's borders.
     ///
     /// The slices are one slab, or two halves that are computed by two threads and whose borders are then exchanged.
     fn slab(
@@ -230,7 +230,7 @@ mod tests {
     use crate::{paper_radius_map, reference_cell_map};
     use proptest::prelude::*;
 
-    /// Return blocks of labels with scattered voxels of other labels: large regions, thin ones, label 0, and faces.
+    /// Return a test volume of label blocks with scattered voxels of other labels: large and thin regions, and label 0.
     fn random_labels(
         [nz, ny, nx]: [usize; 3],
         num_labels: usize,

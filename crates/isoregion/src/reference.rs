@@ -1,8 +1,9 @@
-//! Readable reference for the fast construction of maps: the paper's iteration, and the definition of the map of cells.
+//! Readable reference implementations of the radius maps: the paper's iteration, and the definition of the map of
+//! cells.
 
 use crate::{IsoRegionError, error::check_length};
 
-/// Largest radius that a map can contain, in voxels.
+/// Maximum radius that a map can contain, in voxels.
 ///
 /// Larger cubes exist; to store them with a smaller radius costs speed, never correctness.
 pub const MAX_RADIUS_VOX: u8 = 255;

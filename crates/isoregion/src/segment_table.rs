@@ -1,11 +1,12 @@
-//! Step table of `IsoRegions` (paper 4.3): colour and transparency of a segment of equal samples.
+//! Segment table (IRST, paper 4.3): colour and transparency of a segment of equal samples on a ray.
 
-/// Largest number of samples of a segment; a longer segment needs several leaps.
+/// Maximum number of samples of a segment; a ray needs several table entries for a longer segment.
 ///
 /// With this limit the table of 255 classes fits the second cache.
 pub const MAX_SEGMENT_SAMPLES: usize = 64;
 
-/// Table of `(C (1 - beta^n), beta^n)` by class and number of samples n.
+/// Table of `(C (1 - beta^n), beta^n)` by class and number of samples n; C is the colour, beta the transparency of a
+/// sample.
 ///
 /// Departure from paper 4.3: the index is the number of samples, not the radius `d`. A region of radius 0 thus still
 /// adds its one sample, and rays that cross a region at an angle or with another step length add their actual number of
@@ -13,12 +14,12 @@ pub const MAX_SEGMENT_SAMPLES: usize = 64;
 #[derive(Debug, Clone, PartialEq)]
 pub struct SegmentTable {
     entries: Vec<[f32; 4]>,
-    /// First label with opacity; the labels before it add nothing.
+    /// First label whose class has opacity; the classes of the labels before it are transparent.
     first_visible: u16,
 }
 
 impl SegmentTable {
-    /// Table without classes, with which no ray leaps.
+    /// Table without classes, for rays that skip no segments.
     pub const EMPTY: Self = Self {
         entries: Vec::new(),
         first_visible: 1,
@@ -57,7 +58,7 @@ impl SegmentTable {
         self.entries.len() / (MAX_SEGMENT_SAMPLES + 1)
     }
 
-    /// Return the first label with opacity; all labels from 1 to the one before it are transparent.
+    /// Return the first label whose class has opacity; the classes of labels 1 to the one before it are transparent.
     #[inline]
     #[must_use]
     pub const fn first_visible(&self) -> u16 {

@@ -97,7 +97,8 @@ impl Kernel for Sweep<'_> {
     }
 }
 
-/// Kernel that propagates chessboard distances from `edge`, the slice beside a finished slab, into the slab.
+/// Kernel that propagates chessboard distances from `edge`, the adjacent slice of the finished neighbouring slab, into
+/// a slab.
 ///
 /// The kernel propagates forward from the slab's first slice on, or backward from its last. The distances within both
 /// slabs are exact, so only steps to other slices are missing.
@@ -154,7 +155,7 @@ fn beside(slice: &[u8], y: usize, nx: usize) -> [&[u8]; 3] {
     ]
 }
 
-/// Extension of an array of rows by one more row.
+/// Extension of an array of rows by one further row.
 trait With<'a> {
     fn with(self, row: &'a [u8]) -> [&'a [u8]; 4];
 }
@@ -217,7 +218,7 @@ fn distances_in_block<B: Bytes>(b: B, bits: &[u64], row: &mut [u8], x: usize, be
     }
 }
 
-/// Return 64 bits from position `at` of a bit array on; bits beyond its end are 0.
+/// Return the 64 bits of a bit array that start at position `at`; bits beyond its end are 0.
 #[inline(always)]
 fn bits_from(bits: &[u64], at: usize) -> u64 {
     let (word, shift) = (at / 64, at % 64);
@@ -232,7 +233,7 @@ fn bits_from(bits: &[u64], at: usize) -> u64 {
     }
 }
 
-/// Return the number of consecutive set bits of `bits` from position `at` on, up to 255.
+/// Return the number of consecutive set bits of `bits` that start at position `at`, up to 255.
 #[inline(always)]
 fn ones_from(bits: &[u64], at: usize) -> u8 {
     let mut count = 0;
@@ -253,7 +254,7 @@ fn ones_before(bits: &[u64], at: usize) -> u8 {
     (0..at).rev().take(255).take_while(set).count() as u8
 }
 
-/// Return the least values over several rows, for voxels `x ..= x + N - 1`.
+/// Return for voxels `x ..= x + N - 1` the minimum over several rows.
 ///
 /// # Safety
 ///

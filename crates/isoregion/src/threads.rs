@@ -1,6 +1,6 @@
-//! Number of threads that build a map or label a volume.
+//! Number of threads that compute a radius map or label a volume.
 
-/// Return the default number of threads that build a map: as many as the pool has.
+/// Return the default number of threads for radius maps and labels: the size of the thread pool.
 ///
 /// The threads are separate from the pool (see `join` in [`crate::map`]).
 pub(crate) fn num_threads() -> usize {

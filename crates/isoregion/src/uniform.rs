@@ -1,15 +1,15 @@
-//! Bit sets of the uniform voxels and cells of a volume, one bit each, computed slice after slice.
+//! Bit sets of the uniform voxels and cells of a volume (all voxels round them are equal), computed slice by slice.
 //!
 //! A uniform voxel is at the centre of 3x3x3 equal voxels; a uniform cell has eight equal corners.
 
 use crate::bytes::Bytes;
 
-/// Unit to which a bit, and later a radius, belongs.
+/// Element that one bit, and later one radius, describes.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Unit {
-    /// Voxel, with the 26 voxels round it.
+    /// Voxel; it is uniform if it equals the 26 voxels round it.
     Voxel,
-    /// Cell between a voxel and the seven voxels after it.
+    /// Cell of eight voxels, stored at its lower corner; it is uniform if the eight are equal.
     Cell,
 }
 
@@ -25,9 +25,9 @@ pub(crate) enum Source<'a> {
     Runs(&'a [i16], &'a [(i16, u16)]),
 }
 
-/// Bits of the last three slices for one criterion of equality.
+/// Bits of the last three slices for one criterion by which voxels count as equal.
 struct Ring {
-    /// One bit per voxel, set if its 3x3 neighbourhood in the slice is equal; for cells the 2x2 voxels.
+    /// One bit per voxel, set if its 3x3 neighbourhood in the slice is equal; for cells, if its 2x2 voxels are equal.
     flat: [Vec<u64>; 3],
     /// One bit per voxel, set if the voxel equals the voxel in the next slice; empty if `flat` implies this.
     alike: [Vec<u64>; 3],
@@ -219,7 +219,7 @@ fn both_sides(row: &mut [u64]) {
     }
 }
 
-/// Comparison of voxels `at ..` of two rows, or of a row with a run.
+/// Comparison of the voxels from index `at` on of two rows, or of one row with a run of values.
 ///
 /// The comparison is not a closure, because a closure is a separate function without the instructions of its kernel.
 trait Compare {

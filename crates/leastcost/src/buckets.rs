@@ -57,7 +57,7 @@ impl Buckets {
         }
     }
 
-    /// Return the lowest cost that belongs to the front bucket.
+    /// Return the lowest cost that belongs to the queue's first bucket (the front).
     pub(crate) const fn front_cost(&self) -> u64 {
         self.front << self.span_log2
     }
@@ -107,7 +107,7 @@ impl Buckets {
         block
     }
 
-    /// Move the front to the first bucket that is not empty; return false if all buckets are empty.
+    /// Move the front (the bucket being emptied) to the next bucket that is not empty; return false if there is none.
     pub(crate) fn advance(&mut self) -> bool {
         if self.num_blocks_open == 0 {
             return false;

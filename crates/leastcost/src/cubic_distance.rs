@@ -108,7 +108,7 @@ fn along_row(row: &mut [f32], inside: &[bool]) {
     }
 }
 
-/// Lower a row to the least sum of a row of its line and the squared step to this row.
+/// Lower each entry of a row to the minimum, over the rows of its line, of an entry plus the squared row distance.
 fn lower(
     row: &mut [f32],
     before: &[f32],

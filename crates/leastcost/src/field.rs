@@ -15,7 +15,7 @@ use carina_grid::{Grid, length};
 use crate::TrackError;
 use crate::dijkstra::least_costs_by;
 
-/// Number of the voxel itself among the 27 voxels of its neighbourhood.
+/// Index of the voxel itself among the 27 voxels of its 3x3x3 neighbourhood.
 pub(crate) const HERE: usize = 13;
 
 /// Number of quanta of the cheapest step with a cost above 0.
@@ -23,7 +23,7 @@ pub(crate) const HERE: usize = 13;
 /// Rounding by half a quantum is 0.4 % of this step, so a sum of such steps is accurate within 0.4 % as well. The
 /// remaining 0.1 % up to the promised 0.5 % is far more than the rounding of f32 needs.
 const CHEAPEST_STEP_QUANTA: f32 = 128.0;
-/// Largest number of quanta of a step; f32 represents all integers up to this number exactly, with one bit to spare.
+/// Maximum number of quanta of a step; f32 represents all integers up to this number exactly, with one bit to spare.
 pub(crate) const MAX_STEP_QUANTA: f32 = 4_194_304.0;
 
 /// Return the offset (di, dj, dk) from a voxel to one of its cells, 0 to 26 in array order.
@@ -457,7 +457,7 @@ pub struct Quanta<C> {
     pub(crate) scale: [[f32; 4]; 9],
     pub(crate) cheapest: f32,
     pub(crate) dearest: f32,
-    /// Smallest weight above 0 in the field.
+    /// Minimum weight above 0 in the field.
     pub(crate) least: f32,
     /// Number of open voxels of the field.
     pub num_open: usize,

@@ -11,7 +11,7 @@ use crate::field_layout::Layout;
 use crate::field_tracker::open_root;
 use crate::{TrackError, Watch};
 
-/// Number of nodes settled between two checks of the watch.
+/// Number of nodes that are settled between two checks for cancellation.
 const NODES_PER_LOOK: usize = 1 << 14;
 
 /// Number of low bits of a voxel's state that store the cell of the step that led to the voxel, plus 1.
@@ -142,7 +142,7 @@ fn path_to(layout: &Layout, reached: &[u64], target: u32) -> Vec<u32> {
 struct Aim<'a> {
     field: &'a VoxelField<'a>,
     target: [usize; 3],
-    /// For costs by the entered voxel: cost of the cheapest step, quanta.
+    /// For costs by the entered voxel: cost in quanta of the cheapest step.
     ///
     /// For costs by both ends: smallest cost of any step per mm, quanta.
     quanta_per: f64,

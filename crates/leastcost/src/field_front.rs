@@ -9,7 +9,7 @@ use crate::field::{HERE, StepCost};
 use crate::field_layout::prefetch;
 use crate::field_state::{FieldTracker, MAX_QUANTA, Touch};
 
-/// Number of queue entries by which the prefetch of an entry's memory precedes its settling.
+/// Number of queue entries between the entry that is settled and the entry whose memory is prefetched.
 const AHEAD: usize = 6;
 
 /// Flag in the stored step of a node that was first reached from the front bucket (the queue's bucket of least cost).
@@ -91,7 +91,7 @@ impl<C: StepCost> FieldTracker<C> {
         }
     }
 
-    /// Settle a block of the front bucket, for costs by both ends; return the number of settled nodes.
+    /// Settle the nodes of a block of the queue's first bucket, for costs by both ends of a step; return their number.
     pub(crate) fn relax(&mut self, values: &[f32], block: Block) -> usize {
         let Self {
             quanta,

@@ -7,7 +7,7 @@ use crate::field::{Quanta, StepCost};
 use crate::field_layout::Layout;
 use crate::field_sweep::Sweep;
 
-/// Largest cost in quanta that the entry of a voxel in `left` can represent: 31 bits.
+/// Maximum cost in quanta that the entry of a voxel in `left` can represent: 31 bits.
 pub(crate) const MAX_QUANTA: i32 = i32::MAX;
 
 /// Step by which a voxel was first reached: the voxel's node, the index of its weight, and the cell of the step.
@@ -38,7 +38,7 @@ pub struct FieldTracker<C: StepCost> {
     pub(crate) queue: Buckets,
     /// Reused buffer of [`FieldTracker::touch`] for the nodes that it changed.
     pub(crate) touched: Vec<Touch>,
-    /// Nodes first reached from the front bucket; they are closed when that bucket is empty.
+    /// Nodes first reached from the first bucket; they are marked as final when that bucket is empty.
     pub(crate) closing: Vec<u32>,
     pub(crate) num_settled: usize,
     /// Whether every node that a path can reach is settled.

@@ -23,7 +23,7 @@ use crate::field::{Quanta, StepCost, VoxelField};
 use crate::field_lanes::{LANES, OWN, UNREACHED};
 use crate::field_tile::{ACROSS, Buffer, Settle, Steps, SweepBuffer, TILE, prefetch_tile, run};
 
-/// Changes of one tile since its last sweep.
+/// State of one tile (cube of voxels) since its costs were last computed.
 #[derive(Debug, Clone, Copy)]
 struct Tile {
     /// One bit (8 k + j) for each row of the tile, set if a cost in the row has decreased since the last sweep.
@@ -45,9 +45,9 @@ pub(crate) struct Sweep {
     simd: InstructionSet,
     scale: [f32; 27],
     pub(crate) num_reached: usize,
-    /// Largest cost in quanta to which the cost of a further step can be added without overflow.
+    /// Maximum cost in quanta to which the cost of a step can be added without overflow.
     most: u32,
-    /// Whether a cost above `most` was written to a voxel, so that the search fails.
+    /// Whether a voxel's cost has exceeded `most`, so that the search fails.
     beyond: bool,
 }
 
@@ -79,7 +79,7 @@ impl Sweep {
         }
     }
 
-    /// Record in the tile of a voxel that the voxel's cost has decreased.
+    /// Record, in the tile of a voxel, that the cost of the voxel has decreased.
     #[inline]
     pub(crate) fn mark_decreased(&mut self, [i, j, k]: [usize; 3], cost: u32) {
         let number =
@@ -92,7 +92,7 @@ impl Sweep {
         }
     }
 
-    /// Return the lowest decreased cost that no sweep has processed; `None` if there is none.
+    /// Return the minimum of the decreased costs that no sweep has processed; `None` if there is none.
     ///
     /// All costs up to this cost are final.
     pub(crate) fn front_cost(&mut self) -> Option<u32> {

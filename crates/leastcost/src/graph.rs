@@ -45,7 +45,7 @@ pub struct Quantum {
 
 /// Cost of the cheapest edge in quanta; half a quantum of rounding is 0.5 % of it.
 const CHEAPEST_EDGE_QUANTA: f64 = 100.0;
-/// Largest cost of an edge in quanta, and so the largest number of buckets of the queue (4 bytes each).
+/// Maximum cost of an edge in quanta, and so the largest number of buckets of the queue (4 bytes each).
 const MAX_EDGE_QUANTA: f64 = 16_777_216.0;
 
 impl Quantum {

@@ -21,7 +21,7 @@ pub enum Labels {
     Lumen,
 }
 
-/// Voxels that paths may use, with the cost of the edges between them.
+/// Voxels that paths may use, and the cost of an edge between two of them.
 #[derive(Debug, Clone, Copy)]
 pub enum Terrain {
     /// All voxels of a box, with the cost `paper` or `walls`.
@@ -160,9 +160,9 @@ impl GraphTracker {
         })
     }
 
-    /// Return the node that represents a point (voxel coordinates).
+    /// Return the graph's node for a point (voxel coordinates); `None` outside the box, or too far from the lumen.
     ///
-    /// The result is `None` outside the box, or farther than `reach_mm` from the lumen.
+    /// A point is too far if the nearest lumen voxel is farther than `reach_mm`.
     #[must_use]
     pub fn place(&self, ijk: [f64; 3], reach_mm: f64) -> Option<Place> {
         place(&self.walk, &self.grid, ijk, reach_mm)

@@ -1,4 +1,4 @@
-//! Graph pruned by `IsoRegions` (paper 6.1, Figure 12).
+//! Graph without the voxels inside cubes of equal labels (`IsoRegions`; paper 6.1, Figure 12).
 //!
 //! A voxel with an `IsoRegion` (radius of 1 or more) is pruned if a neighbour's region is larger. The remaining voxels
 //! of a region are its centre, or several centres of equal radius, and its voxels at the border to other labels (radius
@@ -61,7 +61,7 @@ pub fn radii(
     Ok(radius)
 }
 
-/// Return true if a voxel is pruned: it has a region and a neighbour has a larger one (paper 6.1).
+/// Return true if a voxel is pruned: it is in an `IsoRegion`, and a neighbour has a larger radius (paper 6.1).
 #[must_use]
 pub fn is_cut_away(radius: &[u8], shape_ijk: [usize; 3], ijk: [usize; 3]) -> bool {
     let [nx, ny, _] = shape_ijk;
@@ -584,7 +584,7 @@ impl Components {
         Ok(components)
     }
 
-    /// Return the node that represents the component of a node.
+    /// Return the node that represents the connected component of a node.
     fn root(&mut self, mut node: u32) -> u32 {
         while self.next[node as usize] != node {
             let skipped = self.next[self.next[node as usize] as usize];
@@ -594,7 +594,7 @@ impl Components {
         node
     }
 
-    /// Join the components of two nodes; return false if they were one already.
+    /// Join the connected components of two nodes; return false if they were already joined.
     fn join(&mut self, u: u32, v: u32) -> bool {
         let (u, v) = (self.root(u), self.root(v));
         // The smaller number becomes the root, so that the result does not depend on the order of the nodes.

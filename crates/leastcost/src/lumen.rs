@@ -17,7 +17,7 @@ use crate::wall_sites::{NO_SITE, nearest_outside_lumen};
 /// Value levels that define where the wall of the lumen begins, in the volume's own numbers (HU on a calibrated CT).
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct WallLevels {
-    /// Largest value that is certainly air (air of the trachea and its noise).
+    /// Maximum value of air in the trachea with its noise; a darker voxel is certainly air.
     pub core: f32,
     /// Value half-way between the air of the lumen and soft tissue.
     pub wall: f32,
@@ -66,7 +66,7 @@ impl WallLevels {
 /// Phi(w / sigma) - 1/2 at its edge; Phi is the normal distribution. Both depend only on w / sigma, so one follows from
 /// the other; here it is tabulated at tenths.
 fn edge_of_shown(share: f64) -> f64 {
-    /// Values at the edge for maxima of 0, 0.1, ... 1.
+    /// Values at the wall's true edge, for wall maxima of 0, 0.1, ... 1.
     const EDGE: [f64; 11] = [
         0.0, 0.0992, 0.1938, 0.2795, 0.3529, 0.4113, 0.4538, 0.4809, 0.4948, 0.4995, 0.5,
     ];
@@ -197,7 +197,7 @@ impl LumenGraph {
         mask
     }
 
-    /// Return the distance in mm from a node to the wall near the node's nearest voxel outside the lumen.
+    /// Return the distance in mm from a node's voxel to the wall, searched near the nearest voxel outside the lumen.
     pub(crate) fn wall_from_site(
         &self,
         values: VolumeView<'_, i16>,

@@ -22,7 +22,7 @@ pub const GRADIENT_WEIGHT: f64 = 0.7;
 /// Weight of the Laplacian's zero crossing in the cost, `w_z` of paper 6.2.
 pub const ZERO_CROSSING_WEIGHT: f64 = 0.3;
 
-/// Smallest weight of an edge per mm.
+/// Minimum weight of an edge per mm.
 ///
 /// Departure from paper 6.2: the printed weight can be 0, and then the integer costs have no smallest edge that would
 /// define an accuracy of 0.5 %. Only edges along which the mean gradient is above 99.4 % of the volume's largest are
@@ -96,7 +96,7 @@ pub fn wall_weight(gradient_share: [f64; 2], laplacian: [i32; 2]) -> f64 {
 pub enum Reading {
     /// The formula printed in 6.2: walls are cheap.
     Printed,
-    /// The meaning that 6.3 requires: walls are expensive.
+    /// The formula with the meaning that 6.3 requires: walls are expensive.
     Walls,
 }
 
@@ -130,7 +130,7 @@ impl Reading {
     }
 }
 
-/// Return the gradient that the share [`CLIPPED_SHARE`] of the voxels does not exceed.
+/// Return the quantile [`CLIPPED_SHARE`] of the gradients of the volume's voxels.
 ///
 /// The accuracy is 1 / 16384 of the largest gradient, `greatest`.
 fn clipped_gradient(

@@ -14,7 +14,7 @@ use crate::{TrackError, Watch};
 /// Cost of a node that no path has reached.
 pub const UNREACHED: u64 = u64::MAX;
 
-/// Number of nodes settled between two checks of the watch.
+/// Number of nodes that are settled between two checks for cancellation.
 const NODES_PER_LOOK: usize = 1 << 16;
 
 /// Tree of least-cost paths from one root, which grows on demand.

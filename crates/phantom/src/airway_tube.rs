@@ -43,7 +43,7 @@ pub(crate) struct AirwayTube {
 
 /// Distance from the tube's end to its cuff, and length of the cuff, mm.
 const CUFF_MM: [f64; 2] = [16.0, 24.0];
-/// Smallest and largest height of the column of fluid on the cuff, mm.
+/// Minimum and largest height of the column of fluid on the cuff, mm.
 const FLUID_MM: [f64; 2] = [5.0, 12.0];
 /// CT value of the radio-opaque line in the tube's wall, HU.
 const LINE_HU: f64 = 1500.0;

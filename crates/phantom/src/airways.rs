@@ -53,7 +53,7 @@ impl Branch {
             .sum()
     }
 
-    /// Return centre and radius of a ball that contains the whole branch, including its wall.
+    /// Return the centre and radius of a ball that contains the whole branch with its wall.
     fn ball(&self) -> ([f64; 3], f64) {
         let middle = self.points[self.points.len() / 2];
         let reach = self
@@ -81,9 +81,9 @@ fn wall_mm(radius: f64) -> f64 {
     0.4 + 0.15 * radius
 }
 
-/// Least distance between the walls of branches that do not meet, mm.
+/// Minimum distance between the walls of branches that do not meet, mm.
 const GAP_MM: f64 = 0.8;
-/// Smallest distance of subsegments from the pleura, in addition to their own radius and wall, mm.
+/// Minimum distance of subsegments from the pleura, in addition to their own radius and wall, mm.
 const PLEURA_MM: f64 = 2.5;
 
 /// Height above the carina at which a tracheal bronchus arises, mm.
@@ -170,7 +170,7 @@ impl AirwayTree {
         self.branches.push(branch);
     }
 
-    /// Add the trachea to the tree: from the neck, where it is anterior, down and back to the carina at the origin.
+    /// Add the trachea to the tree: from its anterior upper end in the neck to the carina, which is at the origin.
     fn add_trachea(&mut self, top_z: f64, radius: f64) {
         let top = [1.5, -0.2 * top_z, top_z];
         let num = ((top_z / 1.5).ceil() as usize).max(4);
@@ -201,7 +201,7 @@ impl AirwayTree {
         });
     }
 
-    /// Divide the trachea where a tracheal bronchus arises; both parts have the trachea's name.
+    /// Divide the trachea at the origin of a tracheal bronchus; both pieces keep the trachea's name.
     fn divide_trachea(&mut self) {
         let upper = &mut self.branches[0];
         let at = upper

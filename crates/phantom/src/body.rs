@@ -27,7 +27,7 @@ fn power(q: f64) -> f64 {
     q * q * q.sqrt()
 }
 
-/// Return the inverse function of [`power`].
+/// Return the inverse of the function [`power`].
 fn root(s: f64) -> f64 {
     libm::pow(s, 0.4)
 }
@@ -275,7 +275,7 @@ fn surfaces_by(distance: impl Fn(&Superellipsoid) -> f64, p: [f64; 3]) -> Surfac
     }
 }
 
-/// Return the signed distance to the lungs from the distances to the surfaces around them.
+/// Return the signed distance of a point to the lungs, from its distances to the surfaces round the lungs, mm.
 fn lung_by(p: [f64; 3], cavity: f64, diaphragm: f64, heart: f64, spine: f64) -> f64 {
     let mut centre = smooth_min(mediastinum(p), heart, 12.0);
     for side in [-1.0, 1.0] {

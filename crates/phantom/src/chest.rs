@@ -120,7 +120,7 @@ pub struct Chest {
 }
 
 impl ChestOptions {
-    /// Return the grid on which the chest of these options is computed.
+    /// Return the grid on which a chest with these options is generated.
     ///
     /// # Errors
     ///

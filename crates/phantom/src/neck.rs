@@ -29,7 +29,7 @@ pub(crate) struct Neck {
     cords: f64,
     /// Half of the width of the rima between the vocal cords, mm.
     gap: f64,
-    /// Half of the depth of the rima, from front to back, mm.
+    /// Half of the depth of the glottis (rima) from front to back, mm.
     rima: f64,
     /// Fraction by which the rima is wider at the back, and narrower in front, than in the middle.
     wedge: f64,
@@ -122,7 +122,7 @@ impl Neck {
         )
     }
 
-    /// Return the share of the neck's shape at a height: 0 in the chest, 1 above the inlet.
+    /// Return the weight of the neck's shape at a height: 0 in the chest, 1 above the thoracic inlet.
     pub(crate) fn share(z: f64) -> f64 {
         smoothstep(INLET_Z, NECK_Z, z)
     }

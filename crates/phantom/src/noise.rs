@@ -9,7 +9,7 @@ const SIDE: f32 = 0.30;
 /// Weight of each of the four neighbours by corners in the in-plane 3 x 3 kernel.
 const CORNER: f32 = 0.145;
 
-/// Add noise of standard deviation `sigma_hu` to one slice.
+/// Add noise of standard deviation `sigma_hu` to slice `z`; the noise depends only on seed and position.
 ///
 /// The noise is white noise that depends on seed and voxel, made correlated in plane by a kernel.
 pub(crate) fn add_noise(slice: &mut [f32], width: usize, z: usize, seed: u64, sigma_hu: f64) {

@@ -2,7 +2,7 @@
 
 use carina_grid::{cross, dot, length, unit};
 
-/// Standard deviation of the scanner's blur in addition to the voxel's own box, mm.
+/// Standard deviation of the scanner's blur, added to the average over a voxel, mm.
 pub(crate) const SIGMA_MM: f64 = 0.35;
 
 pub(crate) fn add(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {

@@ -54,7 +54,7 @@ pub(crate) enum RightUpper {
     PosteriorWithAnterior,
 }
 
-/// Variant of the division of a basal trunk.
+/// Variant of the division of a lower lobe's basal trunk.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Basal {
     Separate,

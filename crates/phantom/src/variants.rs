@@ -18,7 +18,7 @@ pub struct Variants {
     /// The right upper lobe's bronchus and the left basal trunk divide in three, and the right basal trunk in all its
     /// segments.
     pub trifurcations: bool,
-    /// Both lungs have the pattern of the left one.
+    /// Both lungs have the lobes and segments of a left lung.
     pub left_isomerism: bool,
     /// The left basal trunk divides in three with its published frequency.
     ///
@@ -52,7 +52,7 @@ const LEFT_ISOMERISM: f64 = 0.000_036;
 pub(crate) const LEFT_BASAL_TRIFURCATION: f64 = 0.19;
 
 impl Variants {
-    /// Return the variants with a name, or the random ones of a seed for [`PUBLISHED`]; `None` for an unknown name.
+    /// Return the variants of a name, chosen at random for [`PUBLISHED`]; `None` for an unknown name.
     #[must_use]
     pub fn named(name: &str, seed: u64) -> Option<Self> {
         let mut found = Self::default();
@@ -68,7 +68,7 @@ impl Variants {
         Some(found)
     }
 
-    /// Return the variants of a seed, each drawn with its published frequency.
+    /// Return random variants from a seed, each with its published frequency.
     #[must_use]
     pub fn published(seed: u64) -> Self {
         let mut random = Random::new(seed, 10);

@@ -10,7 +10,7 @@ use crate::body::lung_distance;
 use crate::random::Random;
 use crate::shapes::{Piece, along, direction, hermite, mix, normals, sub, tilted};
 
-/// Open end of a vessel of the phantom during its construction: a further vessel may begin there.
+/// Open end of a vessel during the construction of the phantom, from which further vessels may grow.
 struct End {
     at: [f64; 3],
     dir: [f64; 3],
@@ -160,7 +160,7 @@ fn veins(tree: &AirwayTree, random: &mut Random, pieces: &mut Vec<Piece>) -> Vec
     ends
 }
 
-/// Divide the ends of vessels until the vessels are too thin or reach the pleura.
+/// Divide vessels at their ends repeatedly, until they are too thin or reach the pleura.
 fn divide(mut ends: Vec<End>, random: &mut Random, pieces: &mut Vec<Piece>) {
     while let Some(end) = ends.pop() {
         if end.radius < THINNEST_MM || end.depth > 7 {

@@ -13,7 +13,7 @@ use crate::shapes::{Piece, SIGMA_MM, along, cover, direction, mix, smooth_max, s
 
 /// Distance from a surface in mm beyond which the blur has no effect ([`cover`] ends at 1.88 sigma).
 const BLUR_MM: f64 = 1.88 * SIGMA_MM;
-/// Largest distance between samples within a voxel, mm, for slices up to 3 mm.
+/// Maximum distance between samples within a voxel, mm, for slices up to 3 mm.
 const SAMPLE_MM: f64 = 0.6;
 /// Approximate edge length of a brick in mm, for any spacing, so that lists stay short on coarse grids.
 const BRICK_MM: f64 = 7.0;
@@ -61,7 +61,7 @@ pub(crate) struct Scene<'a> {
     depth: Vec<f64>,
 }
 
-/// For each brick, the pieces of one kind near it, as indices in the scene's list of pieces.
+/// Lists of the pieces near each brick (cube of voxels), as indices in the scene's list of pieces.
 struct Lists {
     start: Vec<u32>,
     items: Vec<u32>,
@@ -103,7 +103,7 @@ impl Lists {
     }
 }
 
-/// Division of a grid into bricks.
+/// Division of a grid into bricks (cubes of voxels), each of which is computed at once.
 struct Bricks<'a> {
     grid: &'a Grid,
     /// Number of voxels of a brick along i, j, k.
@@ -153,7 +153,7 @@ impl<'a> Bricks<'a> {
         Some((first, last))
     }
 
-    /// Return the kind of a brick, without regard to the pieces near it.
+    /// Return the kind of tissue that fills a brick, without regard to vessels and airways near it.
     fn kind(&self, body: &Body, brick: usize) -> Kind {
         let at = [
             brick % self.num[0],
@@ -234,7 +234,7 @@ impl<'a> Scene<'a> {
         }
     }
 
-    /// Return the scene with a tube in its trachea, or without one (`None`).
+    /// Return the scene with the given tube in its trachea, or without a tube (`None`).
     pub(crate) const fn with_tube(mut self, tube: Option<&'a AirwayTube>) -> Self {
         self.tube = tube;
         self

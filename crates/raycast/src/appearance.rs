@@ -20,7 +20,7 @@ pub struct Appearance {
     pub exposure: Option<f32>,
     /// Ambient light from the surrounding walls, as a fraction of the light that a guide gives at normal incidence.
     pub ambient: f32,
-    /// Extent to which scattered light passes the edge of a shadow (wrap lighting), 0 to 1.
+    /// Extent to which scattered light passes the boundary between lit and unlit wall (wrap lighting), 0 to 1.
     pub wrap: f32,
     /// Strength of the highlights on the film of mucus; 0 for none.
     pub gloss: f32,
@@ -64,8 +64,8 @@ impl Appearance {
         self.rings > 0.0 || self.membrane > 0.0 || self.hue > 0.0 || self.spurs > 0.0
     }
 
-    /// Return a copy of the appearance without decoration: every feature that does not come from the patient's CT is
-    /// off.
+    /// Return a copy of the appearance without decoration, the features that do not come from the patient's CT
+    /// (texture, vessels, droplets, rings, membranous wall, colour by region, ridges).
     pub(crate) const fn undecorated(self) -> Self {
         Self {
             texture: 0.0,
@@ -81,7 +81,7 @@ impl Appearance {
         }
     }
 
-    /// Check the numbers of the appearance.
+    /// Return an error if a number of the appearance is not finite or outside its range.
     ///
     /// # Errors
     ///

@@ -17,7 +17,7 @@ pub struct Gathered {
 }
 
 impl Gathered {
-    /// Colour and transparency of a ray before its first sample.
+    /// State of a ray before its first sample: no colour, full transparency, no wall.
     pub(crate) const NOTHING: Self = Self {
         rgb: [0.0; 3],
         transparency: 1.0,
@@ -48,8 +48,8 @@ impl Gathered {
         }
     }
 
-    /// Add a leaped segment with its colour and transparency (`[r, g, b, transparency]`) behind the accumulated
-    /// samples.
+    /// Add a skipped segment of the ray with its colour and transparency (`[r, g, b, transparency]`) behind the
+    /// accumulated samples.
     #[inline(always)]
     pub(crate) fn add_segment(&mut self, segment: [f32; 4]) {
         for c in 0..3 {

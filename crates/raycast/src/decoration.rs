@@ -1,11 +1,12 @@
-//! Coarse grid of anatomical data (position along and around the airway) for the decoration of airway walls.
+//! Coarse grid of anatomical data (position along and around the airway), from which rings, membranous wall and ridges
+//! are drawn.
 //!
 //! The caller computes the grid along the patient's axes from the airway tree. The shading interpolates the grid at the
 //! wall of each pixel. The casters do not read the grid, so the grid moves no surface (docs/decisions/0133).
 
 use crate::RaycastError;
 
-/// Number of values in a cell of a decoration.
+/// Number of anatomical values in a cell of the grid.
 ///
 /// The values are: phase of the rings; position across the airway, to the left and to the back, in radii; then, from 0
 /// to 1, strength of the rings, proximal colour, ridge of a fork, membranous wall and evenness of the rings.

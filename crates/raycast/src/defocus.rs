@@ -9,16 +9,16 @@ use rayon::prelude::*;
 
 use crate::RaycastError;
 
-/// Largest diameter of a circle of confusion that counts as sharp, as a fraction of the picture's shorter side.
+/// Maximum diameter of a circle of confusion that counts as sharp, as a fraction of the picture's shorter side.
 ///
 /// The limit is about one sensor pixel of a video bronchoscope (400 x 400).
 const SHARP_PART: f32 = 1.0 / 400.0;
-/// Largest radius of a circle of confusion, as a fraction of the picture's shorter side.
+/// Maximum radius of a circle of confusion, as a fraction of the picture's shorter side.
 ///
 /// A wall that would need a larger circle is too near for a scope to see anything.
 const WIDEST_PART: f32 = 1.0 / 32.0;
 
-/// Radius that marks a pixel without a ray, which is not part of the picture.
+/// Radius of the circle of confusion that marks a pixel without a ray, which is not part of the picture.
 const NO_RAY: f32 = -1.0;
 
 /// Range of distances from the scope's tip, mm, that the picture shows sharply.

@@ -42,7 +42,8 @@ pub struct Projector {
 
 /// Rays with the same dominant axis, as functions of the coordinate `u` of that axis: `p_b(u) = b0 + u * b1`.
 struct Packet {
-    /// Start of the part of the axis inside the volume, by lane; `from > to` marks a lane of another packet.
+    /// Coordinate on the axis at which each lane's ray enters the volume; a value beyond `to` marks a lane that another
+    /// packet casts.
     from: [f32; LANES],
     to: [f32; LANES],
     b0: [f32; LANES],
@@ -133,7 +134,7 @@ impl<'a> Caster<'a> {
         }
     }
 
-    /// Cast the rays of up to 16 pixels of a row, from `column` on.
+    /// Cast the rays of up to 16 pixels of a row, the first of which is at `column`.
     fn cast(&self, row: usize, column: usize, out: &mut [f32], simd: InstructionSet) {
         let mut packets = [NOTHING; 3];
         let mut used = [false; 3];
@@ -282,7 +283,8 @@ struct Cells {
 }
 
 impl Cells {
-    /// Return the lower voxel of the pair round a coordinate, and the fraction between both; clamped to the volume.
+    /// Return the lower of the two voxels between which a coordinate is, and the fraction of the distance to the upper
+    /// one; clamped to the volume.
     #[inline(always)]
     fn place(self, p: f32) -> (usize, f32) {
         let p = at_least_0(p);

@@ -1,4 +1,4 @@
-//! Exposure of a picture: the exposure that its appearance gives, or one computed from the walls in the picture.
+//! Brightness of the light guides in a picture: set by the appearance, or computed from the walls in the picture.
 
 use crate::{
     Frame, Method, lighting::Lighting, packet::brightness, shared_constants::shared_constants,
@@ -13,7 +13,8 @@ shared_constants! {
 }
 
 impl Lighting {
-    /// Return the lighting of a frame, with its exposure; `None` if the frame's options have no appearance.
+    /// Return the lighting of a frame with its exposure (brightness of the guides); `None` if its options have no
+    /// appearance.
     pub(crate) fn exposed(frame: &Frame<'_>, method: Method<'_>) -> Option<Self> {
         let mut light = Self::of(frame)?;
         if light.look.exposure.is_none() {

@@ -45,20 +45,21 @@ pub struct Frame<'a> {
     pub(crate) grid: &'a Grid,
     /// Map from patient space to the tissue's position in the CT at rest; `None` if the tissue is at rest.
     pub(crate) rest_from_lps: Option<Affine>,
-    /// Distances between the voxel centres of the CT at rest, mm.
+    /// Distances between the voxel centres of the undeformed CT along its three axes, mm.
     pub(crate) rest_spacing_mm: [f64; 3],
     camera: Camera,
     pub(crate) ijk_from_camera: Affine,
     pub(crate) origin_ijk: [f64; 3],
     origin: Lanes,
     pub(crate) step_mm: f32,
-    /// Metric of gradients `g` per voxel: `|gradient in LPS per mm|^2 = g^T metric g`; xx, yy, zz, 2xy, 2xz, 2yz.
+    /// Metric of gradients `g` per voxel: `|gradient in LPS per mm|^2 = g^T metric g`; components xx, yy, zz, 2xy, 2xz,
+    /// 2yz.
     pub(crate) metric: [f32; 6],
-    /// Margin in voxels by which a leap ends before the end of its cube, to allow for f32 rounding of positions.
+    /// Distance in voxels by which a leap stays inside the skipped cube, to allow for f32 rounding of positions.
     pub(crate) guard_vox: f32,
     /// Transparency below which a ray stops.
     pub(crate) stop: f32,
-    /// Whether rays leap even if the trial rays of a picture show that brute force is faster.
+    /// Whether rays leap (skip uniform regions) even if the trial rays of a picture show that brute force is faster.
     pub(crate) always_leap: bool,
     /// Cache of wall normals from earlier pictures of the volume.
     pub(crate) bricks: Option<Arc<NormalBricks>>,
@@ -177,7 +178,8 @@ impl<'a> Frame<'a> {
         Ok(self)
     }
 
-    /// Return the frame with the map from patient space to the CT at rest, if its grid is that of a deformed CT.
+    /// Return the frame of a deformed CT with the map from patient space to the CT at rest and the grid of the CT at
+    /// rest.
     ///
     /// Texture and decoration are fixed to the tissue, and the normals read the same voxels as at rest, so that the
     /// cached bricks remain valid while the patient breathes.
@@ -195,7 +197,7 @@ impl<'a> Frame<'a> {
         self
     }
 
-    /// Return the frame with cached bricks of its volume's values and gradients, from which samples are shaded.
+    /// Return the frame with cached bricks of its volume's values and gradients, which the shading of samples reads.
     ///
     /// The caller must ensure that `samples` was filled from the same values.
     ///
@@ -214,7 +216,7 @@ impl<'a> Frame<'a> {
         Ok(self)
     }
 
-    /// Return the frame with rays that leap even where a trial finds brute force faster, for benchmarks of the leaps.
+    /// Return the frame with rays that always leap (skip uniform regions), for benchmarks of the leaps.
     #[must_use]
     pub const fn leaping_always(mut self) -> Self {
         self.always_leap = true;
@@ -245,7 +247,7 @@ impl<'a> Frame<'a> {
         &self.camera
     }
 
-    /// Return the same frame with one row of rays in the given directions of camera space.
+    /// Return a frame of the same scene with one row of rays in the given directions of camera space.
     ///
     /// Single rays can thus be cast and shaded with the same operations as whole pictures.
     pub(crate) fn listing(&self, directions: &[[f32; 3]]) -> Self {

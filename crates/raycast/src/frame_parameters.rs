@@ -1,10 +1,11 @@
-//! Parameters of a frame with which a caster on other hardware casts the same rays.
+//! Parameters of a frame that a caster on other hardware (the GPU) needs to cast the same rays.
 
 use carina_grid::Affine;
 
 use crate::{CastStats, Frame, FrameOptions, leap::Price};
 
-/// Return the shortest leap over a transparent class, in samples, that resets the patience of a ray.
+/// Return the smallest number of transparent samples that a leap must skip so that the ray reads the radius map again
+/// without delay.
 #[must_use]
 pub const fn paying_leap(nearest: bool) -> u32 {
     Price::of(CastStats::sample_loads(nearest), 1).pays
@@ -25,7 +26,7 @@ pub struct FrameParameters<'a> {
     ///
     /// The items are xx, yy, zz, 2xy, 2xz, 2yz.
     pub metric: [f32; 6],
-    /// Margin between the end of a leap and the end of the leap's cube, voxels.
+    /// Distance by which a leap stays inside the skipped cube, voxels.
     pub guard_vox: f32,
     /// Upper bound of the number of steps of any ray.
     pub most_steps: f64,

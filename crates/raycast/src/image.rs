@@ -77,7 +77,8 @@ fn cast(
     }))
 }
 
-/// Cast `rows` with the scalar casters, which define the correct picture; the result is equal for any instruction set.
+/// Cast `rows` with the scalar casters, which are the reference for all others; the result is equal for any instruction
+/// set.
 ///
 /// # Errors
 ///

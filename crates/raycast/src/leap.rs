@@ -1,4 +1,5 @@
-//! Leaping caster (paper 4.3), which skips those brute-force samples whose result follows from a map of regions.
+//! Leaping caster (paper 4.3; empty-space skipping), which skips samples whose result follows from a map of uniform
+//! regions.
 //!
 //! # When a ray looks up the map
 //!
@@ -30,32 +31,32 @@ pub(crate) const FAR: f32 = 1e30;
 /// Upper bound of the number of steps of any ray within a cube of 511 voxels.
 pub(crate) const MAX_STEPS: f32 = 1e9;
 
-/// Distance in voxels that a leap may go from the centre of a cell of radius 0; each unit of radius adds 1.
+/// Distance in voxels that a leap may go from the centre of a cell of radius 0; each unit of a cell's radius adds 1.
 ///
 /// The known region of a cell ends half a voxel before the cell's radius.
 pub(crate) const CELL_REACH: f32 = -0.5;
 
-/// Number of samples that a ray takes after its first look-up that saved nothing.
+/// Number of samples that a ray takes after the first read of the radius map that did not lead to a leap.
 ///
 /// With steps of half a voxel, two samples share a voxel.
 pub(crate) const MIN_PATIENCE: u32 = 2;
-/// Largest number of samples between two look-ups of a ray; a look-up then costs less than 1 percent of the samples'
+/// Maximum number of samples between two reads of the radius map; a read then costs less than 1 percent of the samples'
 /// reads.
 pub(crate) const MAX_PATIENCE: u32 = 128;
-/// Number of samples before the first look-up, for rays that start in no region.
+/// Number of samples before the first read of the radius map, for rays that do not start in a uniform region.
 const BLIND_SAMPLES: u32 = 8;
 
-/// Numbers of samples that a leap must skip to save time, computed from the reads of a sample and of a look-up.
+/// Lengths that a leap needs to save time, in samples, computed from the memory reads of a sample and of a look-up.
 #[derive(Clone, Copy)]
 pub(crate) struct Price {
     /// Length of a leap in samples below which reading the radius map costs more time than the skipped samples.
     pub worth: u32,
-    /// Shortest leap, in samples, that also compensates for the next few look-ups without result.
+    /// Smallest length of a leap, in samples, that also compensates for the next few look-ups without result.
     pub pays: u32,
 }
 
 impl Price {
-    /// Compute the lengths of paying leaps from the number of reads of a sample and of a look-up.
+    /// Compute the lengths from the numbers of memory reads of a sample and of a look-up in the radius map.
     pub(crate) const fn of(sample_loads: u32, lookup_loads: u32) -> Self {
         Self {
             worth: lookup_loads.div_ceil(sample_loads),
@@ -66,7 +67,7 @@ impl Price {
     }
 }
 
-/// Initial schedule of look-ups for all rays of a picture.
+/// Initial schedule of reads of the radius map, equal for all rays of a picture.
 #[derive(Clone, Copy)]
 pub(crate) struct Start {
     /// Number of samples that a ray takes before it reads the radius map for the first time.
@@ -97,7 +98,7 @@ impl Start {
     }
 }
 
-/// Schedule of the look-ups of one ray.
+/// Schedule of one ray for its reads of the radius map.
 struct LookupSchedule {
     at: u32,
     patience: u32,
@@ -112,7 +113,7 @@ impl LookupSchedule {
         }
     }
 
-    /// Postpone the next look-up after a look-up at sample `k` that found nothing.
+    /// Postpone the next look-up after a look-up at sample `k` that did not lead to a leap.
     #[inline(always)]
     fn failed(&mut self, k: u32) {
         self.at = k + self.patience;
@@ -130,14 +131,14 @@ impl LookupSchedule {
         }
     }
 
-    /// Postpone the next look-up after sample `k`, which had opacity.
+    /// Postpone the next look-up after sample `k`, which was not transparent.
     #[inline(always)]
     fn lit(&mut self, k: u32) {
         self.at = self.at.max(k + 2);
     }
 }
 
-/// Conversion from voxels to ray steps: the number of steps that a ray may take before it leaves a cube.
+/// Conversion from voxels to ray steps, for the number of steps that a ray may take before it leaves a cube of voxels.
 #[derive(Clone, Copy)]
 struct Pace {
     /// Steps per voxel on each axis, with the sign of the direction.
@@ -179,7 +180,7 @@ impl Pace {
     }
 }
 
-/// Cast a ray with leaps over transparent classes only.
+/// Cast a ray that skips regions of transparent classes only.
 ///
 /// The skipped samples would have added nothing, so the picture equals that of brute force bit for bit. `radius` is the
 /// map of the transparent classes' cells, with 0 for all other cells.
@@ -237,7 +238,7 @@ pub(crate) fn cast_transparent<const SHADED: bool, const NEAREST: bool, const HI
     gathered
 }
 
-/// Cast a ray with leaps over every class; the step table gives the colour of a leap.
+/// Cast a ray that skips regions of every class; the segment table gives the colour of a skipped segment.
 ///
 /// The result is within one grey level of brute force: a segment's colour is rounded once, the colours of its samples
 /// one by one. A leap that crosses the stop limit ends at the sample where brute force stops.
@@ -290,7 +291,7 @@ pub(crate) fn cast_classes<const HITS: bool>(
     gathered
 }
 
-/// Cast a ray of nearest-voxel samples with leaps over equal values (paper 4.3).
+/// Cast a ray of nearest-voxel samples that skips regions of equal values (paper 4.3).
 ///
 /// Each step reads one word, which contains the label and the radius of the nearest voxel, and adds the segment of all
 /// samples within the cube of that voxel, at least one. There is no schedule of look-ups, because a step without a leap
@@ -341,7 +342,8 @@ pub(crate) fn cast_values<const HITS: bool>(
     gathered
 }
 
-/// Add the segment of at most `n` samples of a label from sample `k` on, and return its number of samples.
+/// Add the segment of at most `n` samples in a region of equal labels from sample `k` on, and return its number of
+/// samples.
 ///
 /// The segment ends at the sample where brute force stops.
 #[inline(always)]
@@ -361,12 +363,12 @@ fn add_segment<const HITS: bool>(
     n as u32
 }
 
-/// Return the distance in voxels by which a leap over a class may exceed the radius of its region.
+/// Return the distance in voxels by which a leap over a class may exceed the stored radius of its region.
 pub(crate) fn class_margin(frame: &Frame<'_>) -> f32 {
     -frame.guard_vox
 }
 
-/// Return the distance in voxels by which a leap over a value may exceed the radius of its region.
+/// Return the distance in voxels by which a leap over a value may exceed the stored radius of its region.
 ///
 /// A nearest-voxel sample needs only its own voxel in the cube, not eight corners: half a voxel more on each side than
 /// an interpolated sample.
@@ -374,7 +376,7 @@ pub(crate) fn value_margin(frame: &Frame<'_>) -> f32 {
     0.5 - frame.guard_vox
 }
 
-/// Store the first wall of a ray if it is within a leaped segment, by stepping through the segment's samples.
+/// Store the first wall of a ray if the wall is within a skipped segment, by stepping through the segment's samples.
 #[inline(always)]
 fn cross_segment(gathered: &mut Gathered, segments: &SegmentTable, label: u8, k: u32, n: usize) {
     let through = |samples| gathered.transparency * segments.segment(label, samples)[3];

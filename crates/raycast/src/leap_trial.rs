@@ -1,4 +1,4 @@
-//! Rule that decides for each picture whether its rays leap over regions of equal labels or read every sample.
+//! Rule that decides for each picture whether its rays skip regions of equal labels or read every sample.
 //!
 //! In dense or noisy tissue leaping skips too few samples to compensate for its look-ups.
 //!
@@ -11,12 +11,13 @@ use crate::{
     leap::{self, Start},
 };
 
-/// Number of rows, and of columns, of the trial rays that are spread over the picture.
+/// Number of rows, and of columns, of the grid of trial rays, which measure how many samples can be skipped.
 const TRIAL_SIDE: usize = 8;
-/// Number of pixels below which a picture is cast with leaps without a trial.
+/// Minimum number of pixels of a picture for a trial; a smaller picture is cast with leaps without a trial.
 const MIN_PIXELS: usize = 64 * TRIAL_SIDE * TRIAL_SIDE;
 
-/// Return the faster method for a picture: `method`, or brute force if a trial shows that leaps would take longer.
+/// Return the faster method for a picture: `method`, or brute force if the trial rays show that skipping would take
+/// longer.
 pub(crate) fn faster_method<'a>(
     frame: &Frame<'_>,
     method: Method<'a>,

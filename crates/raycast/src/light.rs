@@ -20,7 +20,7 @@ pub struct Light {
 }
 
 impl Light {
-    /// Check the numbers of the light.
+    /// Return an error if a number of the light is not finite or outside its range.
     ///
     /// # Errors
     ///
@@ -51,7 +51,7 @@ impl Light {
         Ok(())
     }
 
-    /// Return the fractions of a sample's own colour and of white in its shaded colour.
+    /// Return the weights of a sample's own colour and of white light in its shaded colour.
     ///
     /// `facing` is the cosine between surface normal and light (0 to 1).
     #[inline(always)]

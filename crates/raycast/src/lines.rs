@@ -36,9 +36,9 @@ pub struct Slab {
     pub kind: SlabKind,
 }
 
-/// Largest thickness of a slab, mm; a thicker slab is a projection and would take seconds.
+/// Maximum thickness of a slab, mm; a thicker slab is a projection and would take seconds.
 const MAX_SLAB_MM: f64 = 100.0;
-/// Largest number of samples that are taken across a slab; in a thick slab of small voxels they are farther apart.
+/// Maximum number of samples across a slab; in a thick slab of small voxels the samples are farther apart.
 const MAX_SLAB_SAMPLES: f64 = 256.0;
 
 /// Sample a picture line by line; pixels whose centre is outside the volume are 0.

@@ -2,10 +2,10 @@
 
 use rayon::prelude::*;
 
-/// Value that [`smoothed_mask`] has where all voxels around are in the mask.
+/// Value of [`smoothed_mask`] at a voxel whose neighbours are all in the mask.
 pub(crate) const FULL: i16 = 1024;
 
-/// Blur a mask (0 is outside) with the weights 1 2 1 along each axis to values in `0 ..= 1024`.
+/// Blur a mask (0 outside, other values inside) with the weights 1 2 1 along each axis to values in `0 ..= 1024`.
 ///
 /// The surface at half of the largest value is that of the mask, with rounded voxel steps. A branch one voxel thick
 /// keeps the value 256, so a surface drawn at a lower value loses no branch.

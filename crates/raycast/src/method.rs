@@ -9,37 +9,38 @@ use crate::{Frame, Interpolation, composite::Gathered};
 pub enum Method<'a> {
     /// Brute force: every sample is read.
     Brute,
-    /// Leaps over transparent classes only.
+    /// Skip regions of transparent classes only, by the radius map of the cells, `[z, y, x]`.
     ///
     /// The variant contains the map of cells between voxels of these classes ([`carina_isoregion::cell_map`]).
     LeapTransparent(&'a [u8]),
-    /// Leaps over all classes by the step table, only for pictures without shading whose samples are interpolated.
+    /// Skip regions of all classes by the segment table, only for pictures without shading whose samples are
+    /// interpolated.
     LeapClasses(ClassMap<'a>),
-    /// Leaps over equal values by the step table, as in the paper, only for samples of the nearest voxel.
+    /// Skip regions of equal values by the segment table, as in the paper, only for samples of the nearest voxel.
     LeapValues(ValueMap<'a>),
 }
 
-/// Labels, radii and step table for leaps over every class, only for pictures without shading.
+/// Labels, radii and segment table to skip regions of every class, only for pictures without shading.
 #[derive(Debug, Clone, Copy)]
 pub struct ClassMap<'a> {
-    /// Label of each voxel, `[z, y, x]`; label 0 is never leaped.
+    /// Label of each voxel, `[z, y, x]`; voxels with label 0 are never skipped.
     pub labels: &'a [u8],
     /// Half the side of the largest cube of one class around each voxel, `[z, y, x]`.
     pub radius: &'a [u8],
-    /// Step table for the length of the ray steps of this picture.
+    /// Colours of skipped segments, computed for the length of the ray steps of this picture.
     pub segments: &'a SegmentTable,
 }
 
-/// Label and radius of each voxel in one word, and step table, for leaps over equal values.
+/// Label and radius of each voxel in one word, and segment table, to skip regions of equal values.
 ///
 /// One read of a word replaces the reads of the voxel, its label and its radius.
 #[derive(Debug, Clone, Copy)]
 pub struct ValueMap<'a> {
-    /// Label of each voxel plus 256 times the radius of its region, `[z, y, x]`; a voxel with label 0 is never leaped.
+    /// Label of each voxel plus 256 times the radius of its region, `[z, y, x]`; a voxel with label 0 is never skipped.
     pub words: &'a [u16],
-    /// Step table for the length of the ray steps of this picture.
+    /// Colours of skipped segments, computed for the length of the ray steps of this picture.
     pub segments: &'a SegmentTable,
-    /// Whether the next words of a ray are fetched into the cache while other rays are cast.
+    /// Whether the word that a ray reads next is fetched into the cache while other rays are cast.
     ///
     /// Prefetching changes only the time: it saves time where words come from memory, and costs time where the words
     /// are in the cache.
@@ -64,7 +65,7 @@ pub struct CastStats {
     pub num_samples: u64,
     /// Number of reads of the radius map.
     pub num_lookups: u64,
-    /// Number of leaps of all rays.
+    /// Number of leaps (skipped segments) of all rays.
     pub num_leaps: u64,
     /// Number of samples that leaps skipped.
     pub num_skipped: u64,
@@ -75,26 +76,27 @@ pub struct CastStats {
 }
 
 impl CastStats {
-    /// Return the number of reads of a sample: four rows of two voxels of its cell, or one read for the nearest voxel.
+    /// Return the number of memory reads of a sample: four rows of two voxels of its cell, or one read for the nearest
+    /// voxel.
     pub(crate) const fn sample_loads(nearest: bool) -> u32 {
         if nearest { 1 } else { 4 }
     }
 
-    /// Number of additional reads of a shaded sample: its gradient needs the eight rows beside its cell.
+    /// Number of additional memory reads of a shaded sample: its gradient needs the eight rows beside its cell.
     ///
     /// The four rows of the cell itself are then read with two more voxels each.
     const GRADIENT_LOADS: u64 = 8;
 
-    /// Number of reads of a shaded first wall: gradients at the eight corners of its cell, and one sample beneath the
-    /// wall.
+    /// Number of memory reads of a shaded first wall: gradients at the eight corners of its cell, and one sample
+    /// beneath the wall.
     const LIGHTING_LOADS: u64 = 8 + 4;
 
-    /// Return the statistics with the number of reads, computed from the other counts.
+    /// Return the statistics with the number of memory reads, computed from the other counts.
     ///
     /// Counted are the reads of samples and their gradients, one radius for each look-up, and one label for each leap
     /// over a class. With leaps over values a look-up is the only read of a sample, unless its voxel has no label. Reads
-    /// of the transfer and step tables are left out: the tables are small and stay in the nearest cache, and a leap saves
-    /// these reads as well.
+    /// of the transfer and segment tables are left out: the tables are small and stay in the nearest cache, and a leap
+    /// saves these reads as well.
     #[must_use]
     pub fn with_loads(self, frame: &Frame<'_>, method: Method<'_>) -> Self {
         let nearest = frame.options.interpolation == Interpolation::Nearest;

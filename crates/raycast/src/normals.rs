@@ -13,7 +13,7 @@ use crate::{
 ///
 /// The noise of a CT has about this grain size; cartilage rings are several times as wide.
 const NORMAL_REACH_MM: f64 = 0.9;
-/// Smallest distance in voxels from a wall to the samples for its normal.
+/// Minimum distance in voxels from a wall to the samples for its normal.
 ///
 /// Within one voxel, values are linear and contain no noise to smooth.
 const NORMAL_REACH_VOX: f64 = 0.8;
@@ -29,9 +29,9 @@ const HALF_CONTRAST_HU: f32 = 500.0;
 pub(crate) struct Normals {
     /// Distance in voxels, along each axis, from the wall to the samples from which its normal is computed.
     pub reach: [f32; 3],
-    /// Lower and upper limit to which the sampled values are clamped.
+    /// Lower and upper limit to which the sampled values are clamped before the gradient is computed.
     pub held: [f32; 2],
-    /// Matrix from rises along the voxel axes to the inward normal in LPS, `inward = rows . rise`.
+    /// Matrix from differences along the voxel axes to the inward normal in LPS, `inward = rows . differences`.
     ///
     /// The matrix is the transposed inverse of the voxel axes, divided by the reach.
     pub rows: [[f32; 3]; 3],
@@ -114,20 +114,21 @@ fn held_between(table: &TransferTable) -> [f32; 2] {
 }
 
 impl NormalBricks {
-    /// Create an empty cache of bricks for the volume and the transfer function of a frame.
+    /// Create an empty cache of wall normals for the volume and the transfer function of a frame.
     #[must_use]
     pub fn of(frame: &Frame<'_>) -> Self {
         Self::with_capacity(frame, MAX_BRICKS)
     }
 
-    /// Create an empty cache with a capacity of `most` bricks, for the volume and the transfer function of a frame.
+    /// Create an empty cache of at most `most` bricks of wall normals, for the volume and the transfer function of a
+    /// frame.
     #[must_use]
     pub fn with_capacity(frame: &Frame<'_>, most: usize) -> Self {
         let normals = Normals::of(frame);
         Self::new(frame.grid.shape_ijk(), normals.reach, normals.held, most)
     }
 
-    /// Return whether the bricks have the shape and the parameters of a frame.
+    /// Return whether the bricks were created for the shape and the parameters of a frame.
     ///
     /// The caller must ensure that the frame shows the same values.
     #[must_use]

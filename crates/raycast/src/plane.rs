@@ -122,10 +122,10 @@ fn sample_rows(
     image
 }
 
-/// Number of pixels of the bands that threads sample in parallel; one thread samples a smaller picture.
+/// Number of pixels of a band that one thread samples; a smaller picture has one band.
 const BAND_PIXELS: usize = 1 << 16;
 
-/// Sample a row of a plane pixel by pixel; the code is the reference for packets.
+/// Sample a row of a plane pixel by pixel; packets must give the same result.
 fn sample_row(
     field: &Field<'_>,
     start: [f32; 3],

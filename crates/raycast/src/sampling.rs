@@ -1,4 +1,4 @@
-//! Sampling of a volume at positions between its voxels.
+//! Interpolation of a volume at positions between its voxels.
 
 use carina_grid::VolumeView;
 
@@ -24,7 +24,7 @@ pub(crate) struct Cell {
     ijk: [i32; 4],
     /// Index in memory of the voxel at the lower corner.
     base: usize,
-    /// Position of a point in its cell, 0 to 1 on each axis.
+    /// Position of the sampled point in its cell, 0 to 1 on each axis.
     t: Lanes,
 }
 

@@ -19,7 +19,7 @@ use crate::{
     surface::cast_walls_row,
 };
 
-/// Return the rows whose rays are needed to shade `rows`.
+/// Return the rows that must be cast to shade `rows`: these rows and one beyond each end, for the silhouettes.
 ///
 /// If the appearance smooths silhouettes, the result also has the row before and the row after `rows`.
 #[must_use]
@@ -39,6 +39,9 @@ pub fn rows_to_gather(frame: &Frame<'_>, rows: &Range<usize>) -> Range<usize> {
 type CastWalls<'a> = &'a (dyn Fn(usize, &mut [Gathered]) -> CastStats + Sync);
 
 /// Cast and shade rows, in packets or with the scalar casters.
+///
+/// The statistics count the rays of `rows` only. The rows before and after them are cast too, because the silhouettes
+/// need their depths, but other strips count these rows.
 ///
 /// The statistics exclude the rays of the rows beside the strip, because these rows belong to other strips.
 pub(crate) fn cast_shaded(
@@ -72,7 +75,8 @@ pub(crate) fn cast_shaded(
     light_walls(frame, method, light, how, (rows, &cast), &beside, stop)
 }
 
-/// Shade the first walls of rows, a few rows at a time, and smooth silhouettes if the appearance requires it.
+/// Shade the first walls of rows, a few rows at a time, and smooth silhouettes (edges of near walls) if the appearance
+/// requires it.
 ///
 /// `beside` has the depths of the row before and of the row after, empty at the picture's edge. After `stop` is set,
 /// the remaining rows stay black. `num_shaded` counts only this shading.

@@ -28,23 +28,23 @@ shared_constants! {
     /// The rays are a fraction of a pixel apart along both axes and along neither diagonal, so that edges of most
     /// directions get an intermediate level.
     const BESIDE: [[f64; 2]; 2] = [[-0.2, -0.36], [0.2, 0.36]];
-    /// Largest second difference of the inverse depth from pixel to pixel in a wall without silhouette.
+    /// Maximum second difference of the inverse depth from pixel to pixel in a wall; a larger one marks a silhouette.
     ///
     /// The limit is a fraction of the nearest pixel's inverse depth. The inverse depth of a plane is linear at any
     /// inclination; a deviation of 1/8 changes the brightness of a wall by about as much as a visible step.
     const BEND: f32 = 0.125;
-    /// Linear light of a wall at normal incidence below which a staircase at its edge is not visible.
+    /// Linear light of a wall at normal incidence below which jagged pixels at its edge are not visible.
     const FAINT: f32 = 0.02;
 
-    /// Smallest wrap lighting of a wall at a silhouette.
+    /// Minimum wrap lighting of a wall at a silhouette.
     ///
     /// The edge of thin, wet mucosa is not the dark line that matt stone shows where it turns away.
     const EDGE_WRAP: f32 = 0.6;
 }
 
-/// Number of rows in which one task searches for silhouette pixels.
+/// Number of rows in which one parallel task searches for silhouette pixels.
 const ROWS_AT_A_TIME: usize = 16;
-/// Number of silhouette pixels that one task casts.
+/// Number of silhouette pixels that one parallel task casts.
 const PIXELS_AT_A_TIME: usize = 256;
 
 /// Depths of the first walls of some rows, in ray steps, with the rows before and after them if the picture has them.
@@ -60,7 +60,7 @@ pub(crate) struct DepthRows<'a> {
 }
 
 impl<'a> DepthRows<'a> {
-    /// Return the depths of a row; `None` if the row is outside the picture.
+    /// Return the depths of the walls in a row; `None` if the row is outside the picture.
     fn row(&self, row: Option<usize>) -> Option<&'a [f32]> {
         let row = row?;
         let num_rows = self.depths.len() / self.width;

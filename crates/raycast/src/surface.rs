@@ -89,7 +89,7 @@ pub fn pick(
     Ok(found.then(|| hit_of(frame, &Normals::of(frame), column, row, wall.hit)))
 }
 
-/// Cast the ray of one pixel, including its first wall, without the light at the tip.
+/// Cast the ray of one pixel, unshaded, and include its first wall in the result.
 pub(crate) fn wall_at(
     frame: &Frame<'_>,
     method: Method<'_>,
@@ -105,7 +105,7 @@ pub(crate) fn wall_at(
     )
 }
 
-/// Cast the rays of `rows`, including their first walls, without the light at the tip.
+/// Cast the rays of `rows`, unshaded, and include their first walls in the results.
 pub(crate) fn cast_walls(
     frame: &Frame<'_>,
     method: Method<'_>,
@@ -124,7 +124,7 @@ pub(crate) fn cast_walls(
     }))
 }
 
-/// Cast the rays of one row with the scalar casters, including their first walls, without the light at the tip.
+/// Cast the rays of one row with the scalar casters, unshaded, and include their first walls in the results.
 pub(crate) fn cast_walls_row(
     frame: &Frame<'_>,
     method: Method<'_>,

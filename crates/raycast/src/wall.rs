@@ -19,7 +19,7 @@ pub struct WallHeights<'a> {
     pub backing: &'a [i16],
 }
 
-/// Box of a volume, `first .. end` along z, y and x.
+/// Range of voxels `first .. end` along z, y and x.
 pub type BoxZyx = [(usize, usize); 3];
 
 /// Raise values round a lumen so that its wall is opaque.

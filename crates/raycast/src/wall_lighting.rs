@@ -1,4 +1,4 @@
-//! Parameters of a frame with which other hardware shades the same first walls.
+//! Parameters of a frame that other hardware (the GPU) needs to shade its first walls in the same way.
 
 use std::sync::Arc;
 
@@ -8,16 +8,16 @@ use crate::{
     lighting::Lighting,
 };
 
-/// Anatomical data of airway walls, as the shading reads them.
+/// Grid of anatomical data from which decoration (rings, membranous wall, ridges) is drawn on airway walls.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct WallDecoration<'a> {
-    /// Anatomical data of the decoration's cells, two items of four numbers per cell, x fastest.
+    /// Anatomical data of the grid's cells, two items of four numbers per cell, x fastest.
     pub cells: &'a [[f32; 4]],
-    /// Number of cells of the decoration along x, y and z.
+    /// Number of cells of the grid along x, y and z.
     pub shape: [i32; 3],
-    /// Position of the centre of the decoration's first cell, LPS mm.
+    /// Position of the centre of the grid's first cell, LPS mm.
     pub origin_lps: [f32; 3],
-    /// Number of cells of the decoration per mm.
+    /// Number of cells of the grid per mm.
     pub cells_per_mm: f32,
 }
 
@@ -38,21 +38,21 @@ pub struct WallLighting<'a> {
     pub guides: [[f32; 3]; 2],
     /// Width of a pixel in the middle of the picture at a distance of 1 mm, mm.
     pub pixel_mm: f32,
-    /// Distance from a voxel to the samples of its slope along each axis, voxels.
+    /// Distance along each axis from a voxel to the samples for its slope, voxels.
     pub reach: [f32; 3],
-    /// Lower and upper limit to which the samples of a slope are clamped.
+    /// Lower and upper limit to which the samples for a slope are clamped.
     pub held: [f32; 2],
     /// Matrix from slopes to inward normals in LPS.
     pub inward: [[f32; 3]; 3],
     /// Factor from slopes to the integers that are stored in bricks and interpolated between voxels.
     pub slope_scale: f32,
-    /// Factor from these integers back to slopes.
+    /// Factor from the stored integers back to slopes.
     pub slope_unit: f32,
     /// Number of bricks of the volume along each axis.
     pub num_bricks: [usize; 3],
     /// Capacity of the cache of bricks.
     pub most_bricks: usize,
-    /// Anatomical data; `None` without decoration from the airway tree.
+    /// Grid of anatomical data; `None` if no airway tree is given.
     pub decoration: Option<WallDecoration<'a>>,
 }
 

@@ -37,7 +37,7 @@ impl Window {
         (value - self.lo).mul_add(self.scale, 0.5) as u8
     }
 
-    /// Return the voxel value that is black, and the number of grey levels per unit of value above it.
+    /// Return the voxel value that is black, and the number of grey levels per unit of voxel value.
     pub(crate) const fn ramp(self) -> (f32, f32) {
         (self.lo, self.scale)
     }

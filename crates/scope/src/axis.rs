@@ -13,11 +13,11 @@ use crate::wall::WallField;
 
 type Point = [f64; 3];
 
-/// Largest penetration of the wall by the tip with which a movement is accepted, mm; the specified limit is 0.1 mm.
+/// Maximum penetration of the wall by the tip with which a movement is accepted, mm; the specified limit is 0.1 mm.
 const TIP_TOLERANCE_MM: f64 = 0.02;
-/// Largest penetration of the wall by the shaft with which a movement is accepted, mm; the specified limit is 0.5 mm.
+/// Maximum penetration of the wall by the shaft with which a movement is accepted, mm; the specified limit is 0.5 mm.
 const SHAFT_TOLERANCE_MM: f64 = 0.15;
-/// Smallest number of sweeps over the nodes in one relaxation of the scope's axis.
+/// Minimum number of sweeps over the nodes in one relaxation of the scope's axis.
 const MIN_SWEEPS: usize = 3;
 /// Number of sweeps after which a relaxation of the scope's axis ends, also if nodes still move.
 const MAX_SWEEPS: usize = 36;
@@ -135,7 +135,7 @@ impl Axis {
         }
     }
 
-    /// Move the axis along itself by `by_mm`: each node follows the path of the nodes before it.
+    /// Move the axis by `by_mm` along itself: each node moves on the line through the nodes before it.
     pub(crate) fn shift(&mut self, entry: &Entry, depth_mm: f64, by_mm: f64) {
         let share = (by_mm.abs() / NODE_MM).min(1.0);
         let old = &self.nodes;
@@ -206,7 +206,7 @@ impl Axis {
         }
     }
 
-    /// Return the second difference of the nodes' positions in the rest shape at each node.
+    /// Return the second difference of the node positions in the unloaded (rest) shape, for each node.
     fn rest(&self, body: &ScopeBody, ups: &[Point], flexion_rad: f64) -> Vec<Point> {
         let (rigid, num) = (body.rigid_nodes(), body.bending_nodes());
         let bow = 2.0 * NODE_MM * libm::sin(0.5 * flexion_rad / num as f64);

@@ -18,7 +18,7 @@ const GAZE_AHEAD_MM: f64 = 3.0;
 const GAZE_SIGMA_MM: f64 = 4.0;
 /// Sigma of the smoothing of tangents, mm, so that planes across the curve do not rock with the remaining voxel steps.
 const TANGENT_SIGMA_MM: f64 = 2.0;
-/// Largest length of a path, mm, longer than any patient; a longer path is invalid and would need unlimited memory.
+/// Maximum length of a path, mm, longer than any patient; a longer path is invalid and would need unlimited memory.
 const MAX_LENGTH_MM: f64 = 20_000.0;
 
 /// Point of a curve that is nearest to a given point.
@@ -163,7 +163,7 @@ impl FlightCurve {
         self.step_mm
     }
 
-    /// Return a frame at each knot whose +z is the curve's own direction, not the gaze.
+    /// Return a frame at each knot whose +z axis is the tangent of the curve, not the direction of view.
     ///
     /// Right and down span the plane across the airway.
     ///

@@ -14,9 +14,9 @@ use crate::wall::WallField;
 
 type Point = [f64; 3];
 
-/// Largest insertion in mm of one simulated step; longer movements are divided.
+/// Maximum insertion in mm of one simulated step; longer movements are divided.
 const STEP_MM: f64 = 0.5;
-/// Largest step of flexion and roll, radians; a bent tip of 50 mm then moves by about as much as in an insertion step.
+/// Maximum step of flexion and roll, radians; a bent tip of 50 mm then moves by about as much as in an insertion step.
 const STEP_RAD: f64 = 0.02;
 /// Distance in mm between tip and wall up to which the tip is in contact with the wall.
 const TOUCH_MM: f64 = 0.1;
@@ -33,7 +33,7 @@ const LOOK_AHEAD_MM: [f64; 4] = [1.0, 2.0, 3.0, 4.0];
 pub enum Limit {
     /// The scope followed the controls completely.
     None,
-    /// The requested insertion is before the entry, to which the scope is withdrawn.
+    /// The requested insertion is less than that of the entry; the scope is withdrawn to the entry.
     Entry,
     /// The tip is pressed against a wall, and the insertion is not reached.
     Wall,
@@ -41,7 +41,7 @@ pub enum Limit {
     Narrow,
     /// The requested insertion is larger than the working length of the scope.
     Length,
-    /// The requested flexion is larger than that of the lever's stop.
+    /// The requested flexion exceeds the range of the lever.
     Flexion,
 }
 
@@ -317,7 +317,7 @@ impl ScopeDrive {
         Ok(self.state)
     }
 
-    /// Move by one small step towards `wanted`; return false if the insertion could not be reached.
+    /// Move the scope by one small step towards the controls `wanted`; return false if the insertion is blocked.
     fn step(&mut self, wanted: Controls) -> bool {
         let before = self.controls;
         let advance = wanted.depth_mm - before.depth_mm;
@@ -468,7 +468,7 @@ impl ScopeDrive {
         self.axis.tip(ups[0])
     }
 
-    /// Compute the state of the scope from axis and controls, and update the contact record.
+    /// Compute the scope's state from its axis and controls, and update the summary of contacts.
     fn look(&mut self, dt_s: f64, limit: Limit, further_mm: f64) {
         let tip = self.tip();
         let least = self.feelers.clearance(&self.field, &tip, &self.entry);
@@ -511,7 +511,7 @@ impl ScopeDrive {
         };
     }
 
-    /// Return the red-out, 0 to 1, for a pose of the tip.
+    /// Return the red-out (0 to 1, how much of the picture the near wall fills) for a pose of the tip.
     ///
     /// A wall beside the tip is one radius away from the lens; only a wall in front of the lens can be nearer.
     fn red_out(&self, tip: &Tip) -> f64 {
@@ -558,7 +558,7 @@ impl ScopeDrive {
 
 /// Distance in mm between the points of a resampled path.
 const PATH_STEP_MM: f64 = 0.25;
-/// Largest length of a path, mm: eight times the length of a scope. Points of a longer path would only use memory.
+/// Maximum length of a path, mm: eight times the length of a scope. Points of a longer path would only use memory.
 const MAX_PATH_MM: f64 = 5_000.0;
 
 /// Return points [`PATH_STEP_MM`] apart along a path.

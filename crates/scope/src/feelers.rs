@@ -17,12 +17,12 @@ const APART_MM: f64 = 0.36;
 ///
 /// A ridge penetrates between them by at most 0.03 mm for the thinnest tip.
 const AXIS_MM: f64 = 0.4;
-/// Gap between the balls and the wall, mm.
+/// Gap that remains between the balls of the tip's surface and the wall, mm.
 ///
 /// At an edge of the wall the interpolated field is some hundredths of a millimetre too large, and a ridge penetrates
 /// between balls by as much.
 pub(crate) const SKIN_MM: f64 = 0.03;
-/// Largest distance in mm from the leader of a group of test balls to the other balls of the group.
+/// Maximum distance in mm from the leader of a group of test balls to the other balls of the group.
 const REACH_MM: f64 = 0.75;
 /// Clearance, in addition to the reach of its group, that a leader must have so that its group needs no test, mm.
 ///
@@ -42,7 +42,7 @@ pub(crate) struct Feeler {
     pub(crate) radius: f64,
 }
 
-/// Group of consecutive balls, of which the leader is the first.
+/// Group of consecutive balls of the tip's surface; the first ball represents the group.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Group {
     first: usize,
@@ -163,7 +163,7 @@ impl Feelers {
         self.clearance_until(field, tip, entry, -depth_mm).mm < -depth_mm
     }
 
-    /// Return the smallest clearance of the tip's balls, or the first one below `end_mm`.
+    /// Return the minimum distance between wall and tip (its balls), or the first distance found below `end_mm`.
     fn clearance_until(
         &self,
         field: &WallField,

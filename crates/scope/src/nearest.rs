@@ -10,7 +10,7 @@ use crate::axis::{along, sub};
 
 type Point = [f64; 3];
 
-/// Largest number of triangles in a leaf of the tree of boxes.
+/// Maximum number of triangles in a leaf of the tree of boxes.
 const LEAF: usize = 4;
 
 /// Return the nearest point of a triangle, and the feature of the triangle that contains this point.

@@ -8,7 +8,7 @@ use carina_grid::dot;
 use crate::ScopeError;
 use crate::body::distance;
 
-/// Largest number of ridges of a wall field: one bit of a brick's mask for each.
+/// Maximum number of ridges of a wall field: one bit of a brick's mask for each.
 pub const MAX_RIDGES: usize = 32;
 /// Distance from a ridge up to which it affects the field, mm; a scope is at most 7.8 mm wide.
 const REACH_MM: f64 = 4.5;

@@ -25,10 +25,10 @@ const GROUP: usize = BLOCKS / GROUPS;
 ///
 /// It exceeds the rounding errors of the distances, so that they stay the same bit for bit.
 const GUARD_MM: f64 = 1e-6;
-/// Value of the entry of a brick that the tube does not reach.
+/// Entry of a brick (cube of samples) that the tube does not reach.
 const NO_BLOCK: u32 = u32::MAX;
 
-/// Part of a tube between two points of its axis.
+/// Piece of a tube between two points of its axis.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Part {
     from: [f64; 3],
@@ -36,11 +36,11 @@ struct Part {
     /// Reciprocal of the squared length; 0 for a part without a length.
     per_square: f64,
     radius: f64,
-    /// Increase of the radius along the part.
+    /// Increase of the radius along the piece, mm.
     more: f64,
     /// Distance in mm by which the sampled wall near this part of the tube is moved inwards.
     excess: f64,
-    /// Increase of the excess along the part.
+    /// Increase of `excess` along the piece, mm.
     more_excess: f64,
 }
 
@@ -80,7 +80,7 @@ impl Part {
     }
 }
 
-/// Lattice of the wall field, as far as a tube needs it.
+/// Interface to the wall field's lattice of bricks (cubes of samples) that a tube uses.
 pub(crate) trait Bricks {
     /// Return the number of bricks of the wall field on each axis.
     fn num(&self) -> [usize; 3];

@@ -19,19 +19,19 @@ const SIDE: usize = CELLS + 1;
 pub(crate) const SAMPLES: usize = SIDE * SIDE * SIDE;
 /// Number of bytes of the transform and of the shape at the start of a serialised field.
 const HEAD_BYTES: usize = 8 * 15;
-/// Largest distance outside the lumen that is stored, mm; larger distances are limited to this one.
+/// Maximum distance outside the lumen that is stored, mm; larger distances are limited to this one.
 pub(crate) const OUTSIDE_MM: f64 = 2.5;
-/// Largest distance inside the lumen that is stored, mm, more than any scope's radius; larger distances are
+/// Maximum distance inside the lumen that is stored, mm, more than any scope's radius; larger distances are
 /// limited to this one.
 pub(crate) const INSIDE_MM: f64 = 4.5;
 /// Number above which a number of type f64 has no fraction, 2^52.
 const WHOLE: f64 = 4_503_599_627_370_496.0;
-/// Value of the entry of a brick that is far outside the lumen.
+/// Entry of a brick (cube of samples) that is far outside the lumen.
 const FAR_OUTSIDE: u32 = u32::MAX;
-/// Entry of a brick that is inside the lumen and far from the wall.
+/// Entry of a brick (cube of samples) that is inside the lumen and far from the wall.
 const FAR_INSIDE: u32 = u32::MAX - 1;
 
-/// Contents of a brick of the lattice.
+/// Content of a brick (cube of samples) of the lattice.
 pub(crate) enum Brick {
     /// The brick is outside the lumen; all samples are farther than [`OUTSIDE_MM`] from the wall.
     Outside,
@@ -70,7 +70,7 @@ pub struct WallField {
     step_mm: f64,
     /// Tube whose inside belongs to the lumen too; its wall is not sampled.
     tube: Option<Tube>,
-    /// Deformation of the tissue since the samples were computed; `None` at rest.
+    /// Deformation of the tissue since the samples were computed; `None` if the tissue is at rest.
     strain: Option<Strain>,
     /// Plates of tissue that belong to the wall, also inside the tube; they are not sampled.
     ridges: Option<Arc<Ridges>>,

@@ -20,18 +20,18 @@ from carina.scopes import Pose
 from carina.value import TEXT
 
 MAX_S: Final = 1e10
-"""Largest time since the creation of a case, in seconds: 317 years, so that a wrong system clock is accepted."""
+"""Maximum time since the creation of a case, in seconds: 317 years, so that a wrong system clock is accepted."""
 MAX_MM: Final = 1e6
 MAX_PLACE_MM: Final = 1e5
 MAX_NUMBER: Final = 1e9
-"""Largest absolute number that is not a length: a cost, a CT value, an angle, a percentage."""
+"""Maximum absolute number that is not a length: a cost, a CT value, an angle, a percentage."""
 MAX_WHOLE: Final = 2**53
 MAX_LABEL_CHARS: Final = 1000
-"""Largest length of a step's label in characters; labels that Carina writes have at most about 200."""
+"""Maximum length of a step's label in characters; labels that Carina writes have at most about 200."""
 MAX_NAME_CHARS: Final = 4000
-"""Largest length of a name or a title in characters, equal to the limit of a text in the wire protocol."""
+"""Maximum length of a name or a title in characters, equal to the limit of a text in the wire protocol."""
 MAX_MESSAGE_CHARS: Final = 20_000
-"""Largest length of a note or a message in characters."""
+"""Maximum length of a note or a message in characters."""
 MAX_DEPTH: Final = 32
 _TEXT: Final = re.compile(TEXT)
 _NOT_TEXT: Final = re.compile(r"[\x00-\x08\x0b-\x1f\ud800-\udfff]")
@@ -130,7 +130,7 @@ def bounded_array(values: NDArray[Any], where: str, low: float, high: float) -> 
 
 
 def check_ascending(values: NDArray[Any] | tuple[float, ...], where: str) -> None:
-    """Raise an error if positions are not in ascending order.
+    """Raise an error unless positions along a path are in ascending order.
 
     Parameters
     ----------

@@ -12,7 +12,7 @@ from carina.case.reading import Rows
 from carina.case.schema import CONTENT
 
 MAX_CONTENT_BYTES: Final = 2 << 30
-"""Total size in bytes of the rows of a case, without its CT, above which the file is refused."""
+"""Maximum total size in bytes of the rows of a case without its CT; a larger file is refused."""
 MAX_ROWS: Final = 2_000_000
 MAX_STEPS: Final = 10_000
 

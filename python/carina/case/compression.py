@@ -15,10 +15,10 @@ from carina.case.error_texts import damage_error
 from carina.errors import UsageError
 
 MAX_PIECE_BYTES: Final = 64 << 20
-"""Largest size of one compressed blob in bytes after decompression, far below the limits of SQLite."""
+"""Maximum size of one compressed blob in bytes after decompression, far below the limits of SQLite."""
 MAX_JSON_BYTES: Final = 16 << 20
 MAX_DEFLATED = 1040
-"""Largest compression ratio that Deflate reaches; a blob with a larger declared ratio is damaged."""
+"""Maximum compression ratio that Deflate reaches; a blob with a larger declared ratio is damaged."""
 DTYPES: Final = {"f8": "<f8", "f4": "<f4", "i8": "<i8", "i4": "<i4", "u4": "<u4"}
 
 

@@ -14,7 +14,7 @@ from carina.disk import disk_trouble, open_regular
 from carina.errors import CarinaError, DiskError
 
 MAX_VALUE_BYTES: Final = 128 << 20
-"""Largest size of one text or blob in bytes; a chunk of a packed CT has at most half of this size."""
+"""Maximum size of one text or blob in bytes; a chunk of a packed CT has at most half of this size."""
 MAX_SQL_BYTES: Final = 20_000
 OLDEST_SQLITE: Final = (3, 37, 0)
 """The first version of SQLite with STRICT tables, which enforce column types."""

@@ -7,7 +7,7 @@ from pathlib import Path
 from carina.errors import VolumeImportError
 
 MAX_FOUND_CHARS = 120
-"""Number of characters to which a message shortens the content of a file that it quotes."""
+"""Maximum number of characters of a file's content that an error message quotes."""
 
 
 class CaseFileError(VolumeImportError):

@@ -53,7 +53,7 @@ from carina.navigate import Recording
 from carina.volume import Volume
 
 MAX_IN_MEMORY_BYTES: Final = 256 << 20
-"""Largest size in bytes of a case that is copied in memory; a larger case is copied on the disk."""
+"""Maximum size in bytes of a case that is copied in memory; a larger case is copied on the disk."""
 
 
 @one_line
@@ -246,7 +246,7 @@ class CaseFile:
         return cls(place, connection)
 
     def close(self) -> None:
-        """Close the file and remove its journal; a closed file stays unchanged."""
+        """Close the file and remove its journal; later calls raise an error and cannot change the file."""
         with self._lock:
             connection, self._connection = self._connection, None
             self._writer = None
@@ -416,7 +416,7 @@ class CaseFile:
 
     @property
     def holds_ct(self) -> bool:
-        """Whether the file contains the CT."""
+        """Whether the case file contains the voxels of the CT."""
         with self._lock, convert_disk_errors(self.path):
             return self._checked_connection().execute("SELECT 1 FROM ct LIMIT 1").fetchone() is not None
 
@@ -532,7 +532,7 @@ class CaseFile:
             return self._recording_table().text(recording_id)
 
     def set_recordings(self, wanted: Sequence[RecordingFacts], *, removed: Collection[int] = ()) -> None:
-        """Set the names, notes and order of the recordings, and delete the removed ones.
+        """Set the names, notes and order of the recordings, and delete those that are not in the list.
 
         A recording that neither argument names stays unchanged. Nothing is written if nothing changes.
 

@@ -118,9 +118,9 @@ class _GrowingReader(CaseReader):
     """Reader of consecutive case states; only the edited airways of the current step are unpacked."""
 
     _present: int | None = None
-    """Row number of the current airways."""
+    """Row number of the airways that were current when the file was read last."""
     _whole_documents: dict[int, Document] | None = None
-    """Documents that contain the current airways unpacked, by row number."""
+    """Documents with the current airways, decompressed, by row number."""
 
     def moment(self, steps: Sequence[tuple[Any, ...]], position: int, facts: f.MomentFacts) -> Moment:
         """Return the case state with the given steps; content shared with the preceding state is reused."""

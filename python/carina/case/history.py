@@ -13,14 +13,14 @@ from carina.display import one_line
 D = TypeVar("D")
 
 MERGE_WITHIN_S = 1.0
-"""Longest pause in seconds between changes of one gesture, such as a drag of the grey window, that form one step."""
+"""Maximum pause in seconds between changes of one gesture, such as a drag of the grey window, that form one step."""
 MAX_STEPS = 1000
 
 
 @one_line
 @dataclass(frozen=True, slots=True)
 class Step(Generic[D]):
-    """A change that can be undone."""
+    """Change of a case that can be undone."""
 
     label: str
     """Description of the change for the user."""
@@ -33,7 +33,7 @@ class Step(Generic[D]):
 
 
 class History(Generic[D]):
-    """A first document, the steps that follow it, and the number of steps that are in effect.
+    """First document, the steps (changes) after it, and the number of steps that are not undone.
 
     Parameters
     ----------
@@ -58,7 +58,7 @@ class History(Generic[D]):
 
     @property
     def first(self) -> D:
-        """The document before all stored steps."""
+        """Document before the first stored step."""
         return self._first
 
     @property
@@ -73,7 +73,7 @@ class History(Generic[D]):
 
     @property
     def current(self) -> D:
-        """The document at the current position."""
+        """Document after the last step that is not undone."""
         return self._steps[self._position - 1].document if self._position else self._first
 
     @property

@@ -45,7 +45,7 @@ class _Facts(msgspec.Struct, frozen=True):
 
 
 class BadgeFacts(_Facts, frozen=True):
-    """A permanent note about an airway tree."""
+    """JSON record of a permanent note about an airway tree."""
 
     code: ShortWords
     words: Message
@@ -53,7 +53,7 @@ class BadgeFacts(_Facts, frozen=True):
 
 
 class BranchFacts(_Facts, frozen=True, omit_defaults=True):
-    """A branch of an airway tree in a case file, without its centreline points."""
+    """JSON record of an airway tree's branch in a case file, without its centreline points."""
 
     id: BranchId
     parent: BranchId | None
@@ -77,7 +77,7 @@ class TreeFacts(_Facts, frozen=True):
 
 
 class AirwaysFacts(_Facts, frozen=True):
-    """Airways in a case file, without lumen, tree and tracker, which other tables store."""
+    """JSON record of airways in a case file, without lumen, tree and tracker, which other tables store."""
 
     root_lps: PointLps
     threshold: Number | None
@@ -132,7 +132,7 @@ class ForkFacts(_Facts, frozen=True):
 
 
 class MeasuredFacts(_Facts, frozen=True):
-    """Measures of a branch without its cross-sections."""
+    """JSON record of a branch's measures, without its cross-sections."""
 
     branch_id: BranchId
     summary: SummaryFacts
@@ -144,7 +144,7 @@ class MeasuredFacts(_Facts, frozen=True):
 
 
 class MeasuresFacts(_Facts, frozen=True):
-    """Settings and notes that apply to all measures of a tree."""
+    """JSON record of the settings and notes that apply to all measures of a tree."""
 
     blur_mm: tuple[Mm, Mm] | None
     noise: Number
@@ -152,7 +152,7 @@ class MeasuresFacts(_Facts, frozen=True):
 
 
 class SpanFacts(_Facts, frozen=True):
-    """The part of a route that lies in one branch."""
+    """JSON record of the part of a route that is in one branch."""
 
     branch_id: Annotated[int, Meta(ge=-1, le=2**31)]
     name: Name | None
@@ -163,7 +163,7 @@ class SpanFacts(_Facts, frozen=True):
 
 
 class RouteFacts(_Facts, frozen=True):
-    """A route in a case file, without its points, which other tables store."""
+    """JSON record of a route in a case file, without its points, which other tables store."""
 
     route_id: ShortWords
     title: Name
@@ -202,7 +202,7 @@ class TargetFacts(_Facts, AskedPath, frozen=True, forbid_unknown_fields=False):
 
 
 class KeyFrameFacts(_Facts, frozen=True):
-    """A key frame with its camera pose."""
+    """JSON record of a key frame with its camera pose."""
 
     key_id: ShortWords
     lps_from_camera: Matrix4
@@ -211,14 +211,14 @@ class KeyFrameFacts(_Facts, frozen=True):
 
 
 class KeyFramesFacts(_Facts, frozen=True):
-    """The key frames in their order, and the settings of the flight through them."""
+    """JSON record of the key frames in their order, and the settings of the flight through them."""
 
     frames: Annotated[tuple[KeyFrameFacts, ...], Meta(max_length=MAX_LIST)]
     flying: KeyFrameFlying
 
 
 class ScopeFacts(_Facts, frozen=True):
-    """Controls of a bronchoscope in the lumen."""
+    """JSON record of the position of a bronchoscope: insertion, roll and lever."""
 
     insertion_mm: Mm
     roll_rad: Number

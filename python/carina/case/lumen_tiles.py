@@ -20,7 +20,7 @@ def grid_of(shape_zyx: tuple[int, int, int]) -> tuple[int, int, int]:
 
 
 def to_tiles(lumen_zyx: NDArray[np.uint8]) -> list[tuple[int, bytes]]:
-    """Return the tiles that contain lumen, as pairs of number and bits.
+    """Return the tiles of a mask that contain lumen, as pairs of tile number and packed bits.
 
     Tiles are numbered in C order; the bits of a tile are the voxels in C order, one bit per voxel.
 
@@ -54,7 +54,7 @@ def _with_lumen(layer: NDArray[np.uint8]) -> list[tuple[int, int]]:
 
 
 def from_tiles(shape_zyx: tuple[int, int, int], tiles: Iterable[tuple[int, bytes]]) -> NDArray[np.uint8]:
-    """Return the lumen of tiles as a read-only array, 1 inside.
+    """Return the lumen mask that tiles contain, as a read-only array, 1 inside.
 
     Parameters
     ----------

@@ -16,7 +16,7 @@ from carina.volume import Volume, VolumeSource, ct_digest
 from carina.volume.inserted_structures import with_inserted
 
 CHUNK_BYTES: Final = 16 << 20
-"""Largest size of the voxels in a chunk in bytes; a chunk has one slice if a slice is larger."""
+"""Maximum size of the voxels in a chunk in bytes; a chunk has one slice if a slice is larger."""
 
 
 def write_ct(connection: sqlite3.Connection, volume: Volume) -> None:

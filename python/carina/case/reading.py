@@ -58,12 +58,12 @@ from carina.track.tree.uncertainty import without_unproven_blocks
 from carina.volume import Note, Volume
 
 Rows = dict[str, dict[int, tuple[Any, ...]]]
-"""Columns of each content row except its id, by table name and row id."""
+"""Cache of the columns of content rows, except their id, by table name and row id."""
 BOUNDS: Final = {"f8": (-MAX_MM, MAX_MM), "i8": (-1, 2**31), "u4": (0, 2**32)}
-"""Smallest and largest number in a stored array, by its type code."""
+"""Minimum and maximum number in a stored array, by the array's type code."""
 LENGTH_MM: Final = (0.0, MAX_MM)
 NO_TREES: Final = 4
-"""Number of airway trees that stay in memory while airways are read: those of a base and of its edits."""
+"""Maximum number of airway trees that stay in memory while airways are read: that of a base and those of its edits."""
 
 
 class StoredAirways(FoldedAirways):

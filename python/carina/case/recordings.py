@@ -31,7 +31,7 @@ from carina.navigate import Recording
 from carina.navigate.recording import read_recording
 
 CHUNK_S: Final = 1.0
-"""Largest duration of a chunk in seconds; a chunk stays in memory until the next :meth:`RecordingWriter.keep`."""
+"""Maximum duration of a chunk in seconds; a chunk stays in memory until the next :meth:`RecordingWriter.keep`."""
 MAX_CHUNK_CHARS: Final = 8 << 20
 MAX_CHUNKS: Final = 1_000_000
 MAX_RECORDING_BYTES: Final = 1 << 30
@@ -272,7 +272,7 @@ class RecordingWriter(io.TextIOBase):
 
     @property
     def recording_id(self) -> int:
-        """Number of the recording in the case file."""
+        """Number that identifies the recording in the case file."""
         if self._recording_id is None:
             raise UsageError("no part of this recording has been saved in a case file yet", code="case.write_recording")
         return self._recording_id
@@ -283,7 +283,7 @@ class RecordingWriter(io.TextIOBase):
         return self._is_complete
 
     def writable(self) -> bool:
-        """Return True: lines can be written."""
+        """Return True, because lines can be written to this file object."""
         return True
 
     def write(self, text: str) -> int:
@@ -337,7 +337,7 @@ class RecordingWriter(io.TextIOBase):
                 del self._chunks[:num_ready]
 
     def unsaved_part(self) -> tuple[int, str]:
-        """Return the number of chunks in the file and the lines that are not stored yet, without disk access."""
+        """Return the number of stored chunks, and the lines that are not stored yet; the disk is not accessed."""
         with self._lock:
             return self._num_stored, "".join(line for lines in self._chunks for line in lines)
 

@@ -72,7 +72,7 @@ def rescued(path: Path | str, target: Path | str) -> tuple[str, ...]:
 
 
 class _Rescue:
-    """Reader of a damaged case that collects the intact content and lists the losses."""
+    """Reader of a damaged case that collects the intact content and records what is lost."""
 
     def __init__(self, connection: sqlite3.Connection, path: Path) -> None:
         self._connection, self._path = connection, path

@@ -22,12 +22,12 @@ from carina.track.targets.paper_tracker import along_branches
 from carina.value import FrozenValue, PointLps, Words
 
 PARKED_MM = 2.0
-"""Largest distance in mm that an edit may move a centreline while the scope's planned position stays valid."""
+"""Maximum distance in mm that an edit may move a centreline while the scope's planned position stays valid."""
 AT_THE_ROOT = "the point lies at the tracheal entry, so there is no path to fly along"
 
 
 class RouteSpan(FrozenValue, frozen=True):
-    """The part of a route inside one branch, given by positions in mm along the route."""
+    """Part of a route inside one branch, as positions in mm along the route."""
 
     branch_id: BranchId
     name: Words | None
@@ -129,7 +129,7 @@ def default_branch_id(tree: AirwayTree) -> int | None:
 
 
 def leaf_below(tree: AirwayTree, branch_id: int) -> int:
-    """Return the id of the deepest tip at or below a branch."""
+    """Return the id of the tip of highest generation that is at or beyond a branch's end."""
     children = {branch.id: branch.children for branch in tree.branches}
     below, waiting = set(), [branch_id]
     while waiting:

@@ -98,7 +98,7 @@ CONTENT: Final = (
     "value", "array", "branch", "tree", "tile", "lumen", "tracker", "airways", "sections", "measured_branch",
     "measures", "route", "document",
 )  # fmt: skip
-"""Names of the content tables, each after the tables that its rows refer to."""
+"""Names of the content tables, in an order in which each table follows those that it refers to."""
 
 
 def _add_measures(connection: sqlite3.Connection) -> None:

@@ -21,10 +21,10 @@ from carina.volume.inserted_structures import MAX_INSERTED
 
 V = TypeVar("V", np.uint8, np.int16)
 GEOMETRY_MM: Final = 1e-3
-"""Largest distance in mm between corresponding voxels of two grids that count as equal."""
+"""Maximum distance in mm between corresponding voxels of two grids that count as the same grid."""
 MAX_PATH_CHARS: Final = 4096
 INSERTED_KIND: Final = "inserted"
-"""Value of the column ``kind`` of descriptions of inserted structures in the table ``extra``."""
+"""Value of the column ``kind`` in the table ``extra`` for descriptions of nodules that were inserted into the CT."""
 _MAX_TEXT = 200
 
 

@@ -18,14 +18,14 @@ logger = logging.getLogger(__name__)
 
 JOURNALS: Final = ("-wal", "-journal")
 MAX_JOURNAL_BYTES: Final = 16 << 30
-"""Largest size of a journal in bytes.
+"""Maximum size of a journal in bytes.
 
 The journal of a live case is truncated to 16 MB after each checkpoint, unless a CT was stored through it.
 """
 MAX_CASE_BYTES: Final = 32 << 30
-"""Largest size in bytes of a case file that is copied: at most 2 GB of work and a packed CT."""
+"""Maximum size in bytes of a case file that is copied: at most 2 GB of work and a packed CT."""
 COPY_AGAIN: Final = 5
-"""Largest number of attempts to copy a case file that another program changes during the copy."""
+"""Maximum number of attempts to copy a case file that another program changes during the copy."""
 WAL_MAGIC: Final = (b"\x37\x7f\x06\x82", b"\x37\x7f\x06\x83")
 WAL_VERSION: Final = (3_007_000).to_bytes(4, "big")
 WAL_HEADER_BYTES: Final = 32

@@ -22,7 +22,7 @@ class Moment:
     steps: tuple[Step[Document], ...]
     """Steps of the history, the oldest first, each with the document after it; steps beyond ``position`` are undone."""
     position: int
-    """Number of steps of the history that are in effect."""
+    """Number of the history's steps that are not undone."""
     sight: Sight
     tip: dict[str, Any]
     """State of the tip, as plain JSON of :meth:`carina.navigate.Navigator.state`."""
@@ -32,7 +32,7 @@ class Moment:
     """State of the airway search: ``none``, ``waiting``, ``found`` or ``failed``."""
     search_words: str | None = None
     person_moved: bool = False
-    """Whether the user has moved the tip; if so, newly found airways do not move it."""
+    """Whether the user has moved the scope's tip; if so, newly found airways do not move it."""
     numbers: dict[str, int] = field(default_factory=dict)
     """Last assigned number by kind of object (``target``, ``key``), so that no number is used twice."""
     measures: tuple[tuple[Any, Any], ...] = ()

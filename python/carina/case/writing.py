@@ -36,7 +36,7 @@ from carina.version import VERSION
 logger = logging.getLogger(__name__)
 
 StepRow = tuple[str, str | None, float, int]
-"""Label, command as JSON, seconds and row of the document."""
+"""Values of a row of the table of steps: label, command as JSON, seconds, and row of the document."""
 _DTYPES = {"f": "f8", "i": "i8", "u": "u4"}
 
 
@@ -185,7 +185,7 @@ class CaseWriter:
         return self._register_row("document", document, self._put("document", values))
 
     def _retain_parts(self, document: Document) -> None:
-        """Retain the row numbers of a known document's parts for the next save."""
+        """Retain the row numbers of an already stored document's parts for the next save."""
         parts: list[tuple[str, object]] = [
             ("transfer", document.transfer),
             ("look", document.look),

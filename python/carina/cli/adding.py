@@ -18,7 +18,7 @@ from carina.volume import Volume
 
 @dataclass(frozen=True, slots=True)
 class AddedBranches:
-    """Airways with all branches that could be added, and the result for each point."""
+    """Airways after all branches that could be added, and the result for each requested point."""
 
     airways: Airways
     rows: tuple[dict[str, Any], ...]

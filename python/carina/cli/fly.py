@@ -46,7 +46,7 @@ from carina.volume.inserted_structures import picture_mark
 
 SPEED_MM_S = 20.0
 PAUSE_S = 1.0
-"""Default values of the options."""
+"""Defaults of the command's options."""
 
 
 def report(

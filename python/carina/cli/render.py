@@ -289,7 +289,7 @@ def report(
                 raise
             print_note(f"note: {error}")
     airways = None
-    # The lumen closes thin walls in the airway view, is the surface in the tree view, and gives the default pose.
+    # The lumen is needed for the wall in the airway view, for the surface in the tree view, and for the default pose.
     wants_wall = view == LEAD_VIEW and volume.is_hu and (chosen is None or chosen.wall)
     # X-ray views show the whole volume from any position.
     wants_pose = at is None and row.wants_tip

@@ -15,7 +15,7 @@ from carina.render import render_xray_set
 from carina.volume.point_check import check_in_volume
 
 XRAY_SET = "xray-set"
-"""Name of the set as a view of the command; the window shows the three X-rays one by one."""
+"""Name under which the command renders the three X-rays; the window shows them one by one."""
 
 
 def write_xray_set(

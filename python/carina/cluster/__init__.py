@@ -1,4 +1,4 @@
-"""Rendering of one picture on several machines (paper 5): the scheduler, its lanes, and a renderer that uses them."""
+"""Rendering of one picture on several machines (paper 5): scheduler, lanes (connections to renderers) and renderer."""
 
 from carina.cluster.console import Console
 from carina.cluster.lanes import Lane, LaneFacts, LocalLane, StripAnswer, StripOrder

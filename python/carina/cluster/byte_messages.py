@@ -1,4 +1,4 @@
-"""Packing of strip orders and answers as plain bytes, which the transport passes on unchanged.
+"""Packing of strip orders (requests for rows of a picture) and answers as bytes for the transport between machines.
 
 Ray would pickle each argument and result of another type separately, at both ends, for each strip
 (docs/decisions/0109).
@@ -16,9 +16,10 @@ from carina.errors import ClusterError
 from carina.render import Picture
 
 Counts = tuple[int, int, int, int, int, int, int]
-"""Type of the counts of a rendered strip: rays, samples, look-ups, leaps, skipped samples, shaded samples, loads."""
+"""Type of the counts of a rendered strip (rows of a picture): rays, samples, look-ups, leaps, skipped samples,
+shaded samples, loads."""
 Strip = tuple[int, int, int, int, float, str, Counts, Picture | None, NDArray[np.uint8]]
-"""Type of the content of an answer to a strip order.
+"""Type of the values in an answer to a strip order, before they are packed.
 
 The fields are frame, content, first row, number of rows, seconds, method, counts, picture and pixels. The picture has
 no pixels, and is None unless the strip contains the first row.
@@ -32,7 +33,7 @@ _ANSWER = struct.Struct("<qqiid7q3iii")
 
 
 def pack_order(frame_id: int, content: int, view: bytes, rows: tuple[int, int] | None) -> bytes:
-    """Return an order as the bytes that :meth:`carina.cluster.renderer_host.RendererHost.answer` accepts.
+    """Return a strip order packed as the bytes that :meth:`carina.cluster.renderer_host.RendererHost.answer` reads.
 
     Parameters
     ----------

@@ -27,18 +27,18 @@ __all__ = ["Console", "Content", "StripTiming"]
 logger = logging.getLogger(__name__)
 
 RETRY_S = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0)
-"""Waiting times in seconds before a renderer that cannot load the content is tried again; the last one repeats."""
+"""Waiting times in seconds before a renderer that could not load the content loads it again; the last one repeats."""
 TELL_AFTER_LOADS = 5
-"""Number of failed loads of a renderer before the user is notified; a restart can cause one or two."""
+"""Number of failed loads of a renderer from which the user is notified; a restart can cause one or two."""
 TELL_AFTER_S = 0.5
-"""Delay of a renderer in seconds from which the user is notified."""
+"""Duration in seconds, of a load or of a missing answer, from which the user is notified."""
 MAX_FAULTS = 5
-"""Number of wrong answers after which the console stops using a renderer."""
+"""Maximum number of wrong answers of a renderer; with more, the console stops using the renderer."""
 
 
 @dataclass(frozen=True, slots=True)
 class StripTiming:
-    """One strip with its times on the console, for timelines (paper, Figure 11)."""
+    """One strip (rows of a picture) with the times of its order and answer, for timelines (paper, Figure 11)."""
 
     lane: str
     frame_id: int
@@ -52,7 +52,7 @@ class StripTiming:
 
 @dataclass(slots=True)
 class _Member:
-    """State of one renderer that the console uses."""
+    """State of one renderer, as the console records it."""
 
     lane: Lane
     reserve: bool
@@ -102,11 +102,11 @@ class Console:
         self._status: ClusterStatus | None = None
         self.jobs: list[StripTiming] | None = [] if keep_jobs else None
         self.parcels = Parcels()
-        """Source of the content numbers, which stay unique when another case is shown."""
+        """Source of content numbers, which stay unique when another case is opened."""
         self.address = "local"
         self.mixed = False
         self.max_open_frames = self._settings.open_frames
-        """Number of pictures that are rendered at the same time at most; see `StripScheduler.max_open_frames`."""
+        """Maximum number of pictures that are rendered at the same time; see `StripScheduler.max_open_frames`."""
         self._closed = False
         self._closing = threading.Lock()
         # The local renderer takes over when all other machines fail, so the loss of a machine is not an error.
@@ -143,7 +143,7 @@ class Console:
         self._inbox.put(lambda: self._add_notice(words))
 
     def set_content(self, parcel: Parcel) -> None:
-        """Set the content (volume and scene) that renderers load; each frame names the content that it shows.
+        """Set the content (volume and scene) that renderers load; each later frame states the number of its content.
 
         Parameters
         ----------
@@ -209,7 +209,7 @@ class Console:
         return any(not m.reserve and not m.loading for m in list(self._members.values()))
 
     def facts(self, name: str) -> LaneFacts:
-        """Return the facts about the machine of the lane with this name."""
+        """Return host, processor, memory and versions of the machine of a lane."""
         return self._members[name].lane.facts
 
     def lane(self, name: str) -> Lane:
@@ -218,7 +218,7 @@ class Console:
 
     @property
     def num_ready(self) -> int:
-        """Number of lanes that can render now. The lane of the console counts only if no other lane exists."""
+        """Number of lanes that can render now. The console's own lane counts only if it is the only one."""
         return max(1, sum(not m.reserve and not m.loading for m in list(self._members.values())))
 
     def close(self) -> None:
@@ -296,7 +296,7 @@ class Console:
                 self._load_content(name)
 
     def _load_content(self, name: str) -> None:
-        """Send the current content to a renderer; it renders as soon as it has loaded the content."""
+        """Send the current content to a renderer, which renders strips after it has loaded the content."""
         member = self._members.get(name)
         if member is None:
             return
@@ -325,7 +325,7 @@ class Console:
             self._run_actions()
 
     def _handle_load_end(self, name: str, generation: int, parcel: Parcel, trouble: BaseException | None) -> None:
-        """Handle the end of a load: let the renderer take part, load newer content, or schedule another attempt."""
+        """Handle the end of a renderer's load: start to use it, load newer content, or schedule another attempt."""
         member = self._members.get(name)
         if member is None or generation != member.generation:
             return
@@ -515,7 +515,7 @@ class Console:
             self._schedule_retry(name, trouble)
 
     def _handle_fault(self, name: str, order: StripOrder, wrong: str) -> None:
-        """Handle a wrong answer; a renderer with :data:`MAX_FAULTS` wrong answers is removed."""
+        """Count a wrong answer of a renderer; with :data:`MAX_FAULTS` wrong answers the renderer is removed."""
         self._scheduler.failed(name, order.task_id, self._clock())
         self._run_actions()
         member = self._members.get(name)

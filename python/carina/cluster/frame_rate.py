@@ -1,4 +1,4 @@
-"""Meter of the rate and the duration of pictures."""
+"""Meter of the number of pictures per second and of their duration."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A frame while it is rendered: the check of answers, and the assembly of the picture."""
+"""State of a frame during its rendering: check of the lanes' answers, and assembly of the picture from strips."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class PendingFrame:
     _method: str = ""
 
     def copy_rows(self, answer: StripAnswer, rows: tuple[int, int]) -> None:
-        """Copy the rows of an answer into the picture; if an error is raised, the answer has no effect.
+        """Copy the rows of an answer into the picture; an answer that raises an error changes nothing.
 
         Parameters
         ----------

@@ -1,4 +1,4 @@
-"""Lanes: the console's connections to renderers. A lane renders strips in order and returns the answers."""
+"""Lanes, the console's connections to renderers, which render strips (rows of a picture) in order."""
 
 from __future__ import annotations
 
@@ -34,13 +34,14 @@ class StripOrder:
     rows: tuple[int, int] | None
     """First row and row after the last; None for the whole picture."""
     view_bytes: bytes = b""
-    """The view, pickled once for all strips of a frame."""
+    """Pickled view, equal for all strips of a frame."""
     renderer: Renderer | None = None
     """Local renderer of the frame's content, for a lane in this process; else None."""
     scene: Scene | None = None
     """Scene that the strip shows, for a lane in this process; else None."""
     stop: CancelToken | None = None
-    """Token that cancels the rendering, for a lane in this process."""
+    """Token with which the console cancels the rendering, for a lane in this process; None for a lane to another
+    machine."""
 
 
 @one_line
@@ -56,7 +57,7 @@ class StripAnswer:
     method: str
     counts: Counts
     picture: Picture | None
-    """The picture without pixels; always set if the strip contains the first row."""
+    """Picture without pixels; None unless the strip contains the first row of the frame."""
     rgb: NDArray[np.uint8]
 
     @classmethod
@@ -66,7 +67,7 @@ class StripAnswer:
 
 
 class LaneFacts(Machine, frozen=True):
-    """Facts about the machine of a lane, with the version of Carina and the process on it."""
+    """Host, processor, memory and process of a lane's machine, with the version of Carina there."""
 
     version: str
     pid: int | None = None
@@ -83,7 +84,7 @@ class Lane(Protocol):
 
     @property
     def facts(self) -> LaneFacts:
-        """Facts about the machine of the lane."""
+        """Host, processor, memory and versions of the machine of the lane."""
 
     def load(self, parcel: Parcel, done: Loaded) -> bool:
         """Load new content on the renderer of the lane.
@@ -149,12 +150,12 @@ class LocalLane:
         return LaneFacts(int(info["threads"]), str(info["simd"]), "this machine", VERSION)
 
     def load(self, parcel: Parcel, done: Loaded) -> bool:
-        """Call ``done`` at once and return True, because each order contains its scene."""
+        """Call ``done`` at once and return True: this lane loads no content, because each order has its scene."""
         done(None)
         return True
 
     def submit(self, order: StripOrder, done: Answered) -> None:
-        """Render a strip after the strips that were submitted before."""
+        """Add a strip to the queue of this lane's thread, which renders strips in order of submission."""
         self._orders.put((order, done))
 
     def close(self) -> None:

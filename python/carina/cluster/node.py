@@ -26,9 +26,9 @@ from carina.installation import extra_command
 DEFAULT_PORT = 6379
 TOKEN_NAME = "cluster.token"
 STARTED = "Ray runtime started"
-"""Line that Ray prints after a machine has joined."""
+"""Line that Ray prints after the machine has joined a cluster."""
 CONSOLE_ENVIRONMENT = {"RAY_gcs_rpc_server_reconnect_timeout_s": str(10 * 365 * 86_400)}
-"""Environment variables of Ray that only the console's process sets.
+"""Names of Ray's environment variables that are set only in the process of the console.
 
 Without them, Ray ends a program whose head node has been unreachable for a minute. The console then renders alone and
 must go on. Other machines do end, and join again.
@@ -39,7 +39,7 @@ MIN_STORE_BYTES = 80 * 1024 * 1024
 
 
 def check_available() -> None:
-    """Raise an error with a remedy if this machine cannot be part of a cluster.
+    """Raise an error with a remedy if this machine lacks what membership in a cluster requires, such as Ray.
 
     Raises
     ------
@@ -324,7 +324,7 @@ def _usual_store_bytes() -> int:
 
 
 def _parents() -> dict[int, tuple[int, str]]:
-    """Return the parent and the start time of every process of this machine, by process id."""
+    """Return for each process id of this machine the parent's process id and the start time of the process."""
     found = {}
     for entry in Path("/proc").iterdir():
         if entry.name.isdecimal():
@@ -346,7 +346,7 @@ def descendants(pid: int) -> dict[int, str]:
 
 
 def end_processes(tree: Mapping[int, str], grace_s: float = 5.0) -> None:
-    """End the remaining processes of a tree; some of Ray's agents survive the end of their parent by minutes.
+    """End those processes of a tree that still run; some of Ray's agents survive the end of their parent by minutes.
 
     Parameters
     ----------

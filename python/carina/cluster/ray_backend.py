@@ -1,4 +1,4 @@
-"""Renderers on other machines, connected by Ray; no other file imports Ray.
+"""Lanes to renderers on other machines through Ray; this is the only file that imports Ray.
 
 Ray provides membership, placement, restarts, the broadcast of volumes and the transport. Ray cannot react within the
 time of a picture; :class:`carina.cluster.scheduler.StripScheduler` does.
@@ -31,10 +31,10 @@ logger = logging.getLogger(__name__)
 
 POLL_S = 1.0
 CONNECT_S = 15.0
-"""Time in seconds for which a connection to a head that does not answer is tried again."""
+"""Time in seconds during which a connection to a cluster's head node is tried again if the head does not answer."""
 WAIT_AFTER_FAILURE_S = 5.0
 SLOW_START_S = 30.0
-"""Starting time of a renderer in seconds after which the user is notified."""
+"""Starting time of a renderer, in seconds, from which the user is notified."""
 SPARE_BYTES = 256 * 1024 * 1024
 """Memory in bytes that a machine needs in addition to the volume."""
 
@@ -87,7 +87,7 @@ def _connect(ray: Any, address: str, ip: str | None) -> None:
 
 
 def _without_ray_wrapper(trouble: BaseException) -> BaseException:
-    """Return the original error of another machine without Ray's wrapper."""
+    """Return the error that another machine raised, without the exception type that Ray adds."""
     cause = getattr(trouble, "cause", None)
     return cause if isinstance(cause, BaseException) else trouble
 
@@ -123,12 +123,12 @@ class RayLane:
         self._cluster = cluster
         self._store_bytes = store_bytes
         self._held: set[int] | None = None
-        """Tokens of arrays that the renderer has; None if unknown, as after a restart."""
+        """Tokens of the arrays that the renderer has received; None if they are unknown, as after a restart."""
         self._facts = _facts(facts)
 
     @property
     def facts(self) -> LaneFacts:
-        """Facts about the machine of the lane."""
+        """Host, processor, memory and versions of the lane's machine."""
         return self._facts
 
     def load(self, parcel: Parcel, done: Loaded) -> bool:
@@ -156,7 +156,7 @@ class RayLane:
             done(_without_ray_wrapper(error))
 
     def _check_memory(self, parcel: Parcel, num_bytes: int, free_bytes: int | None) -> None:
-        """Raise an error if the machine has too little memory for the content."""
+        """Raise an error if the machine has too little free memory for the content (volume and scene)."""
         words = (
             f"the case needs {_memory_text(parcel.num_bytes)}; close other programs on that machine, or use one with "
             "more memory"
@@ -230,7 +230,7 @@ def _memory_text(num_bytes: float) -> str:
 
 @dataclass(slots=True, eq=False)
 class _StartedRenderer:
-    """Renderer that was created on a machine, until its end."""
+    """Renderer process on another machine, from its start to its end."""
 
     node: str
     store_bytes: float
@@ -240,7 +240,7 @@ class _StartedRenderer:
 
 
 class RayCluster:
-    """Watcher that adds a lane for each machine that joins the cluster, and removes it when the machine leaves.
+    """Watcher of a cluster: it adds a lane for each machine that joins and removes the lane when the machine leaves.
 
     Parameters
     ----------
@@ -298,7 +298,7 @@ class RayCluster:
         self._host_class = host_class
         self._host_options = {"mixed": mixed, **(host_options or {})}
         self._renderers: dict[str, _StartedRenderer] = {}
-        """Renderers by name that have a lane or are starting.
+        """Renderers by name, both those that have a lane and those that are starting.
 
         The method that removes a renderer from this dictionary must end it, because the renderer occupies its machine,
         which has resources for one, even if no caller waits for it.
@@ -348,7 +348,7 @@ class RayCluster:
                 return
 
     def _update_renderers(self) -> None:
-        """Compare the machines of the cluster with the renderers; start new renderers and remove lost ones."""
+        """Start renderers on machines that have joined the cluster, and remove the lanes of machines that have left."""
         places: dict[str, tuple[str, float]] = {}
         for node in self.ray.nodes():
             num = int(node["Resources"].get("renderer", 0)) if node["Alive"] else 0

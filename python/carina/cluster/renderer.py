@@ -32,7 +32,8 @@ from carina.render.wall_texture import DecorationTree
 from carina.volume import Volume
 
 MIN_PIXELS = 128 * 128
-"""Pictures with fewer pixels are rendered on this machine, because sending them takes longer than rendering them."""
+"""Minimum number of pixels of a picture that other machines render; sending a smaller picture takes longer than
+rendering it."""
 POLL_S = 0.02
 
 
@@ -77,7 +78,7 @@ class ClusterRenderer:
 
     @property
     def prepared(self) -> bool:
-        """Whether the maps for ``leap`` are built; without them, ``leap`` renders the same picture by brute force."""
+        """Whether the radius maps for empty-space skipping (``leap``) are built; without them every sample is read."""
         return self._renderer.prepared
 
     @property

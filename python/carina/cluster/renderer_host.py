@@ -39,12 +39,12 @@ def available_bytes() -> int | None:
 
 
 def bare_picture(picture: Picture) -> Picture:
-    """Return a picture without its pixels and its optics, to be sent with a strip; the console knows the optics."""
+    """Return a picture without pixels and optics (the console has the optics), to be sent with a strip."""
     return dataclasses.replace(picture, rgb=np.empty((0, 0, 3), np.uint8), optics=None)
 
 
 def counts_of(stats: RenderStats) -> Counts:
-    """Return the counts of a rendered picture as a tuple, in the order of ``Counts``."""
+    """Return the statistics of a rendered picture as a tuple, in the order of ``Counts``."""
     return (
         stats.num_rays,
         stats.num_samples,
@@ -93,7 +93,7 @@ class RendererHost:
     def load(
         self, content: int, skeleton: bytes, known_tokens: list[int], tokens: list[int], *arrays: NDArray[Any]
     ) -> int:
-        """Load the volume and the scene that pictures are rendered from.
+        """Load the volume and the scene from which this renderer renders pictures.
 
         Parameters
         ----------
@@ -135,7 +135,7 @@ class RendererHost:
             return content
 
     def strip(self, frame_id: int, content: int, view: bytes, rows: tuple[int, int] | None) -> Strip:
-        """Render rows of a view, which is pickled once for all strips of a frame.
+        """Render rows of a view; the view is pickled once for all strips of a frame.
 
         Parameters
         ----------

@@ -1,4 +1,4 @@
-"""Choice of the renderers (*lanes*: the console's connections to them) and of the number of open frames, by times.
+"""Choice, from measured times, of the lanes (connections to renderers) in use and of the number of open frames.
 
 Each strip costs the console a fixed time, so that more lanes make a fast frame slower. The choice measures the time of
 a frame with the lanes in use, tries another number of lanes for a few frames, and uses the better number. The choice
@@ -15,35 +15,37 @@ from dataclasses import dataclass
 Lane = Hashable
 
 SETTLING_FRAMES = 5
-"""Number of frames not measured after a change of the lanes, because the lanes' shares of a frame still adapt."""
+"""Number of frames after a change of the lanes whose times are ignored, because the lanes' shares still change."""
 MEASURED_FRAMES = 10
-"""Number of frames with each choice of lanes whose mean times are compared."""
+"""Number of frames with each selection of lanes over which the mean time is computed."""
 GAIN_OF_MORE_LANES = 0.05
-"""Share of a frame's time that a larger number of lanes must save to be used."""
+"""Minimum share of a frame's time that more lanes must save to be used."""
 LOSS_BY_FEWER_LANES = 0.01
-"""Part of a frame's time that fewer lanes may cost; the difference to :data:`GAIN_OF_MORE_LANES` is the hysteresis."""
+"""Maximum share of a frame's time that fewer lanes may add; its difference to :data:`GAIN_OF_MORE_LANES` is a
+hysteresis."""
 LOSS_BY_FEWER_FRAMES = 0.05
-"""Part of a frame's time that fewer open frames may cost, because they shorten the response time."""
+"""Maximum share of a frame's time that fewer open frames may add; fewer open frames shorten the response time."""
 GAIN_OF_MORE_FRAMES = 0.07
-"""Least part of a frame's time that a larger number of open frames must save to be chosen."""
+"""Minimum share of a frame's time that more open frames must save to be used."""
 RETRY_S = 4.0
-"""Time in seconds after which a rejected number is tried again; it doubles with each rejection."""
+"""Time in seconds after which a rejected number of lanes or frames is tried again; it doubles with each rejection."""
 MAX_RETRY_S = 120.0
 FULLY_BUSY_S, FULLY_BUSY_RETRY_S = 10.0, 60.0
-"""Times in seconds after which fewer lanes are tried, and tried again, although all lanes render all the time.
+"""Times in seconds before fewer lanes are tried for the first time, and again, while all lanes are busy.
 
 Lanes that share a processor are busy all the time and render no more than one of them.
 """
 MAX_FULLY_BUSY_RETRY_S = 960.0
 ABORT_FRAMES = 3
 ABORT_LOSS = 0.25
-"""Loss in each of the first :data:`ABORT_FRAMES` frames at which a trial of fewer lanes or frames ends."""
+"""Increase of a frame's time, as a share, that ends a trial early if each of its first :data:`ABORT_FRAMES` frames
+shows it."""
 SLOW_S = 0.05
-"""Rendering time of a frame in seconds from which as few frames as possible are open."""
+"""Rendering time of a frame in seconds from which the number of open frames is the minimum."""
 FAST_S = 0.04
-"""Rendering time of a frame in seconds below which the frame is no longer slow."""
+"""Rendering time of a frame in seconds below which frames that were slow count as normal again."""
 CHANGED_WORK = 1.5
-"""Ratio of rendering times from which former results no longer apply."""
+"""Ratio of the present to the former rendering time of a frame from which former results are discarded."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,14 +58,14 @@ class LanePlan:
 
 @dataclass(slots=True)
 class _Rejection:
-    """LanePlan that was slower than the plan in use."""
+    """Plan that was slower in a trial than the plan in use, and the time of its next trial."""
 
     expires_s: float
     retry_s: float
 
 
 class LaneChoice:
-    """Lanes and number of open frames for frames of one kind.
+    """Selected lanes and number of open frames for all frames of one kind.
 
     Parameters
     ----------
@@ -80,7 +82,7 @@ class LaneChoice:
         self._plan = LanePlan(1, max_open_frames)
         self._num_tried = 0
         self._min_tried_s = math.inf
-        """Number and shortest time of the frames of the trial, including those that are not measured."""
+        """Number of frames of the trial, including those whose time is ignored, and their shortest time in seconds."""
         self._before: tuple[LanePlan, list[Lane], float] | None = None
         """During a trial: the plan, the lanes and the time of a frame before the trial."""
         self._skip = SETTLING_FRAMES
@@ -91,9 +93,10 @@ class LaneChoice:
         self._slow = False
         self._rejected: dict[LanePlan, _Rejection] = {}
         self._since_s = -math.inf
-        """Time since which the present plan is used, trials of other plans not counted."""
+        """Instant in seconds from which the present plan has been in use; trials of other plans move it on by their
+        duration."""
         self._is_doubtful = False
-        """Whether the trial has fewer lanes than are busy on average."""
+        """Whether the trial has fewer lanes than the average number of busy lanes."""
 
     @property
     def open_frames(self) -> int:
@@ -110,11 +113,11 @@ class LaneChoice:
 
     @property
     def is_trial(self) -> bool:
-        """Whether the present plan is tried for a few frames only."""
+        """Whether the present plan is a trial, in use for a few frames only."""
         return self._before is not None
 
     def choose(self, able: Sequence[Lane], seconds: Mapping[Lane, float], now_s: float) -> tuple[Lane, ...]:
-        """Return the lanes for the next frame, in the order of ``able``.
+        """Return those of the lanes ``able`` that render the next frame, in the same order.
 
         Parameters
         ----------
@@ -140,7 +143,7 @@ class LaneChoice:
         return tuple(lane for lane in able if lane in self._used)
 
     def record_frame(self, number: int, interval_s: float, work_s: float, now_s: float) -> None:
-        """Record a complete frame; the plan may change for the next frame.
+        """Record the times of a complete frame; the plan of lanes may change for the next frame.
 
         Parameters
         ----------
@@ -188,7 +191,7 @@ class LaneChoice:
             self._set_plan(LanePlan(self._plan.num_lanes, min(2, self._max_open) if slow else self._max_open), now_s)
 
     def _forget_other_work(self, work_s: float) -> None:
-        """Delete former results if the frames have become much slower or faster."""
+        """Discard former results if frames have become slower or faster by more than :data:`CHANGED_WORK`."""
         known_s = self._known_work_s
         if known_s is None:
             self._known_work_s = work_s
@@ -214,7 +217,7 @@ class LaneChoice:
             self._set_plan(LanePlan(min(num, len(able)), self._plan.open_frames), now_s)
 
     def _next_trial(self, now_s: float) -> LanePlan | None:
-        """Return the next plan to try; None if the present plan is better than all others that were tried lately."""
+        """Return the next plan to try; None if no other plan is due for a trial."""
         plan, num = self._plan, self._plan.num_lanes
         options = [
             LanePlan(count, plan.open_frames) for count in (self._fewer_lanes(now_s), self._more_lanes(now_s)) if count
@@ -297,7 +300,7 @@ class LaneChoice:
         self._reject_trial(now_s)
 
     def _is_clearly_slower(self, before: LanePlan, before_s: float) -> bool:
-        """Return whether the trial of fewer lanes or open frames is so slow that it ends early."""
+        """Return whether the trial of fewer lanes or open frames is slow enough to end early."""
         fewer = self._plan.num_lanes < before.num_lanes or self._plan.open_frames < before.open_frames
         return fewer and self._num_tried >= ABORT_FRAMES and self._min_tried_s > (1.0 + ABORT_LOSS) * before_s
 
@@ -324,7 +327,7 @@ class LaneChoice:
             self._set_plan(plan, now_s)
 
     def _set_plan(self, plan: LanePlan, now_s: float, *, new: bool = True) -> None:
-        """Set the plan of the next frames; measurements start again."""
+        """Set the plan of the next frames and start its measurements."""
         self._plan = plan
         self.number += 1
         self._skip = SETTLING_FRAMES
@@ -335,5 +338,5 @@ class LaneChoice:
 
 
 def _typical(intervals: Sequence[float] | deque[float]) -> float:
-    """Return the mean without the largest value, which is often caused by another program."""
+    """Return the mean of intervals without the largest one, which is often caused by another program."""
     return (sum(intervals) - max(intervals)) / (len(intervals) - 1)

@@ -1,4 +1,4 @@
-"""The content that a renderer needs, packed so that each large array is sent to a machine once."""
+"""Packing of the content of a renderer (volume and scene), so that each large array is sent to a machine once."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ class _SceneUnpickler(pickle.Unpickler):
 
 
 class Parcels:
-    """Factory of parcels that remembers the tokens of living arrays."""
+    """Factory of parcels (packed volumes and scenes) that stores the tokens of arrays still in use."""
 
     def __init__(self) -> None:
         self._contents = itertools.count(1)

@@ -29,7 +29,7 @@ LaneState = Literal["ready", "late", "away"]
 
 @dataclass(frozen=True, slots=True)
 class Issue:
-    """Action of the scheduler: send a strip to a lane."""
+    """Action that the scheduler requests from the console: send a strip to a lane."""
 
     task_id: int
     lane: Lane
@@ -43,28 +43,28 @@ class Issue:
 
 @dataclass(frozen=True, slots=True)
 class FrameDone:
-    """Event: all rows of a frame have been accepted."""
+    """Action that reports a complete frame: all of its rows have been accepted."""
 
     frame_id: int
 
 
 @dataclass(frozen=True, slots=True)
 class FrameDropped:
-    """Event: a frame was dropped and will not be completed."""
+    """Action that reports a dropped frame, which will not be completed."""
 
     frame_id: int
 
 
 @dataclass(frozen=True, slots=True)
 class LaneLate:
-    """Event: a lane has not answered in time, and its strips were assigned to other lanes."""
+    """Action that reports a late lane, whose strips were assigned to other lanes."""
 
     lane: Lane
 
 
 @dataclass(frozen=True, slots=True)
 class LaneBack:
-    """Event for the scheduler: a lane that was late has answered."""
+    """Action that reports that a late lane has answered."""
 
     lane: Lane
 
@@ -109,14 +109,14 @@ class _Lane:
     state: LaneState = "ready"
     in_flight: deque[_Task] = field(default_factory=deque)
     queue: list[tuple[int, int]] = field(default_factory=list)
-    """Strips that are not issued yet, as (frame id, strip), the oldest frame first."""
+    """Strips that are assigned to the lane and not sent yet, as (frame id, strip), the oldest frame first."""
     answered_s: float = float("-inf")
     pace: dict[Hashable, float] = field(default_factory=dict)
     """Smoothed rendering time per row in seconds, by the frame's ``cost``; deadlines are estimated from it."""
     render_pace: dict[Hashable, float] = field(default_factory=dict)
     """Smoothed rendering time per row in seconds that the renderer reported, by the frame's ``cost``."""
     transport_s: float = 0.0
-    """Smallest time in seconds, of the last strips, from the issue to the answer without the rendering."""
+    """Minimum, over the last strips, of the time in seconds from order to answer without the rendering."""
     measured: dict[Hashable, tuple[float, int]] = field(default_factory=dict)
     """Rendering time in seconds and number of rows since the last update of the shares, by the frame's ``cost``."""
     last_m: dict[Hashable, float] = field(default_factory=dict)
@@ -138,12 +138,12 @@ class _Frame:
     strips: list[tuple[int, int]] = field(default_factory=list)
     missing: set[int] = field(default_factory=set)
     holders: dict[int, set[Lane]] = field(default_factory=dict)
-    """Lanes to which a strip is issued or queued, including late lanes."""
+    """Lanes to which each strip is sent or assigned, including late lanes."""
     opened_s: float = 0.0
     choice: LaneChoice | None = None
-    """Choice of the frame's lanes; None if the frame's time does not count for the choice."""
+    """Selection of lanes that this frame's time updates; None if the time must not count."""
     plan_number: int = 0
-    """Number of the choice's plan when the frame was opened."""
+    """Number of the lane plan in use when the frame was opened."""
     work_s: float = 0.0
     """Sum of the rendering times of the accepted strips in seconds."""
 
@@ -152,16 +152,16 @@ class _Frame:
 PACE_WEIGHT = 0.3
 KINDS_REMEMBERED = 32
 TRANSPORT_GROWTH, TRANSPORT_STEP_S = 1.05, 0.0001
-"""Largest growth of a lane's transport time for each strip: a factor, and seconds in addition.
+"""Maximum increase of a lane's estimated transport time per strip: a factor, and seconds in addition.
 
 A slow link is therefore noticed after some strips.
 """
 SLOW_TRANSPORT = 2.0
-"""Multiple of the median transport time above which a lane counts as slower."""
+"""Multiple of the lanes' median transport time above which a lane counts as slow."""
 
 
 class StripScheduler:
-    """Scheduler that divides frames among lanes.
+    """Scheduler that divides frames into strips (rows) for the lanes (connections to renderers).
 
     Every method is an event; the time ``now_s`` must not decrease. Actions are collected for :meth:`take_actions`.
     """
@@ -176,7 +176,8 @@ class StripScheduler:
         self._orders = itertools.count()
         self._actions: list[Action] = []
         self._choices: dict[Hashable, LaneChoice] = {}
-        """Choice of the lanes, by the frame's ``cost`` and whether the lane is a reserve; the last used is the last."""
+        """Selection of lanes by the frame's ``cost`` and by whether reserve lanes are used; the last used entry is
+        the last."""
         self._done_s = float("-inf")
 
     def take_actions(self) -> list[Action]:
@@ -192,12 +193,12 @@ class StripScheduler:
 
     @property
     def num_open(self) -> int:
-        """Number of frames of which strips are being rendered."""
+        """Number of frames that are opened and not complete."""
         return len(self._frames)
 
     @property
     def max_open_frames(self) -> int:
-        """Number of frames of the latest kind that are open at most; further requests only wait.
+        """Maximum number of open frames of the latest kind; further requested frames wait.
 
         A caller that requests frames as fast as possible has the shortest response time with this number of requests.
         """
@@ -272,7 +273,7 @@ class StripScheduler:
         self._assign_and_issue(now_s)
 
     def load(self, lane: Lane, content: Hashable, now_s: float) -> None:
-        """Set the content that a lane renders from now on; it still answers the issued strips of the former content."""
+        """Set the content of a lane's later strips; the strips already sent are rendered from the former content."""
         state = self._lanes.get(lane)
         if state is None or state.content == content:
             return
@@ -345,7 +346,7 @@ class StripScheduler:
         self._assign_and_issue(now_s)
 
     def expects(self, lane: Lane, task_id: int) -> bool:
-        """Return whether :meth:`answered` would accept this answer of a lane; the state does not change."""
+        """Return whether :meth:`answered` would accept a lane's answer to this task; the state does not change."""
         state = self._lanes.get(lane)
         task = None if state is None else next((t for t in state.in_flight if t.task_id == task_id), None)
         frame = None if task is None else self._frames.get(task.frame_id)
@@ -426,7 +427,7 @@ class StripScheduler:
         self._assign_and_issue(now_s)
 
     def _due_s(self, lane: _Lane) -> float | None:
-        """Return the time at which the oldest strip of a lane is late; None if the lane has no deadline."""
+        """Return the instant at which the oldest strip of a lane is late; None if the lane has no deadline."""
         # The console's own lane has no deadline, because no other lane is left for its strips.
         if lane.state != "ready" or lane.reserve or not lane.in_flight:
             return None
@@ -439,7 +440,7 @@ class StripScheduler:
         return max(task.issued_s, lane.answered_s) + limit_s
 
     def _first_answer_s(self, task: _Task) -> float:
-        """Return the deadline in seconds for a lane of unknown speed, estimated from the other lanes.
+        """Return the deadline, in seconds after the order, of a lane of unknown speed, from the other lanes' speeds.
 
         A new lane may be many times slower than the others or may have to prepare, but must not delay the picture much.
         """
@@ -451,7 +452,7 @@ class StripScheduler:
         return min(settings.first_answer_s, max(guess_s, 4.0 * settings.late_floor_s))
 
     def _update_pace(self, lane: _Lane, task: _Task, service_s: float, seconds: float) -> None:
-        """Update the pace of a lane with the measured time of a strip."""
+        """Update the smoothed time per row of a lane with the measured time of a strip."""
         rendered = lane.render_pace.pop(task.cost, seconds / task.num_rows)
         lane.render_pace[task.cost] = rendered + PACE_WEIGHT * (seconds / task.num_rows - rendered)
         # The smallest value excludes the time in which the console was busy with other answers.
@@ -511,7 +512,7 @@ class StripScheduler:
             frame.holders[strip].discard(lane)
 
     def _reassign_strips(self, name: Lane, lane: _Lane, *, is_removed: bool) -> None:
-        """Give up the queued strips of a lane, and its issued strips only if the lane is removed or away."""
+        """Unassign a lane's queued strips, and its sent strips only if the lane is removed or away."""
         queued, lane.queue = lane.queue, []
         for frame_id, strip in queued:
             self._release_strip(name, frame_id, strip)
@@ -531,7 +532,7 @@ class StripScheduler:
         self._issue_strips(now_s)
 
     def _adopt_orphans(self) -> None:
-        """Assign strips that no ready lane has to a ready lane; the first answer is accepted."""
+        """Assign strips that no ready lane has to a ready lane; the first answer to a strip is accepted."""
         for frame in self._frames.values():
             for strip in sorted(frame.missing):
                 if any(name in self._lanes and self._lanes[name].state == "ready" for name in frame.holders[strip]):
@@ -547,7 +548,7 @@ class StripScheduler:
         return min(able, key=lambda name: (self._busy_s(name, frame), self._lanes[name].order))
 
     def _busy_s(self, name: Lane, frame: _Frame) -> float:
-        """Return the time in seconds that a lane needs for its strips and one more row."""
+        """Return the time in seconds in which a lane would render its assigned strips and one more row."""
         lane = self._lanes[name]
         paces = [other.pace[frame.cost] for other in self._lanes.values() if frame.cost in other.pace]
         pace = lane.pace.get(frame.cost, sum(paces) / len(paces) if paces else 1.0)
@@ -564,7 +565,7 @@ class StripScheduler:
         frame.holders[strip].add(name)
 
     def _choose_lanes(self, frame: _Frame, able: list[Lane], now_s: float) -> tuple[list[Lane], LaneChoice | None]:
-        """Return the lanes that a divided frame uses, and their choice; None if all lanes are used."""
+        """Return the lanes that render a divided frame, and their `LaneChoice`; None if all lanes render it."""
         if frame.whole or not self.settings.chooses_lanes:
             return able, None
         kind = (frame.cost, self._lanes[able[0]].reserve)
@@ -617,7 +618,7 @@ class StripScheduler:
                 self._queue_strip(name, frame, strip)
 
     def _issue_strips(self, now_s: float) -> None:
-        """Issue queued strips to ready lanes, up to ``in_flight`` per lane."""
+        """Send queued strips to ready lanes, up to ``in_flight`` unanswered strips per lane."""
         for name, lane in self._lanes.items():
             while lane.state == "ready" and lane.queue and len(lane.in_flight) < self.settings.in_flight:
                 frame_id, strip = lane.queue.pop(0)

@@ -14,9 +14,11 @@ class ClusterSettings:
     """Settings for dividing, issuing and monitoring frames (paper 5; docs/decisions/0109)."""
 
     in_flight: int = 2
-    """Strips issued to a lane before its first answer: subtask pre-assignment (paper 5.1). 1 disables it."""
+    """Maximum number of unanswered strips of a lane: subtask pre-assignment (paper 5.1). 1 disables the pre-
+    assignment."""
     open_frames: int = 2
-    """Frames that are rendered at the same time: image buffers (paper 5.1). 1 waits for each frame."""
+    """Number of frames that are rendered at the same time (image buffers, paper 5.1). 1 completes each frame before
+    the next."""
     balances: bool = True
     """Whether the lanes' shares follow their measured times (paper 5.2).
 
@@ -25,7 +27,7 @@ class ClusterSettings:
     inertia: float = 0.9
     """Inertia I of the forgetting function: weight of a lane's former share (paper 5.2)."""
     settling_inertia: float = 0.5
-    """Inertia (0 to 1) of a lane's share of each picture, for the first complete frames after the lane has joined.
+    """Inertia (0 to 1) of a lane's share for the first complete frames after the lane has joined.
 
     A smaller inertia lets the share follow the measured speed faster: with 0.5 it has its true value after 5 frames,
     with 0.9 after 23 frames.
@@ -35,13 +37,13 @@ class ClusterSettings:
     chooses_lanes: bool = True
     """Whether only lanes are used that make pictures faster, by measured times; if False, all lanes are used."""
     min_rows: int = 4
-    """Smallest height of a strip in rows; a slow lane also gets such a strip, so that its speed is measured."""
+    """Minimum height of a strip in rows, so that the speed of slow lanes is measured too."""
     max_strip_bytes: int = 1_000_000
-    """Largest size of an answer; larger strips are divided. Answers above 1 MiB take 9 ms instead of 1 ms."""
+    """Maximum size of an answer in bytes; larger strips are divided. Answers above 1 MiB take 9 ms instead of 1 ms."""
     late_factor: float = 3.0
     """Multiple of the expected time after which a strip counts as late."""
     late_floor_s: float = 0.05
-    """Shortest time in seconds after which a strip can be late."""
+    """Minimum time in seconds after which a strip can count as late."""
     first_answer_s: float = 2.0
     """Deadline in seconds for the first answer of a lane of unknown speed."""
 

@@ -1,4 +1,4 @@
-"""Shares of the lanes in a picture: the paper's forgetting function (5.2)."""
+"""Shares of a picture's rows that each lane (connection to a renderer) renders: the forgetting function (5.2)."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from carina.cluster.settings import ClusterSettings
 
 
 class Shares:
-    """The shares p_i of the lanes, which sum to one.
+    """Shares p_i of a picture's rows that the lanes render; they sum to one.
 
     Paper 5.2: ``r_i = m_i^-1 / sum(m^-1)``, ``p_i(t) = p_i(t-1) I + r_i(t) (1 - I)``, ``p_i(0) = 1/n``.
     Departure: m_i is the time *per row*, not of the strip. The heights of strips are proportional to p, so with times
@@ -42,7 +42,7 @@ class Shares:
         self.use_small_inertia()
 
     def use_small_inertia(self) -> None:
-        """Use the smaller inertia for the next complete frames, because the lanes' speeds have changed permanently."""
+        """Use the small inertia for the next complete frames, so that shares follow a lasting change of speeds."""
         self._settling = self._settings.settling_epochs
 
     def update(self, row_seconds: dict[Hashable, float]) -> None:

@@ -75,7 +75,7 @@ class EmptyForgotten(Command, frozen=True):
 
 
 class EmptyCtCache(Command, frozen=True):
-    """Delete the cached CTs; Carina then reads them from their files again."""
+    """Delete the cached CTs; later openings read the CTs from their files."""
 
 
 class KeepCts(Command, frozen=True):
@@ -94,7 +94,7 @@ class OpenVolume(LocalCommand, frozen=True):
     """Open a volume that is already in memory."""
 
     volume: Any
-    """Volume, a :class:`carina.volume.Volume`."""
+    """Volume to open, a :class:`carina.volume.Volume`."""
     kept: Any = None
     """Saved state to continue from, a :class:`carina.case.Moment`; None starts a new case."""
     follows: bool = False

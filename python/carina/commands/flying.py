@@ -28,7 +28,7 @@ class SetMode(Command, frozen=True):
 
 
 class ToggleMode(Command, frozen=True):
-    """Change to the other mode, without a jump of the picture."""
+    """Change between free movement and movement along the path, without a jump of the picture."""
 
 
 class GoTo(Command, frozen=True):

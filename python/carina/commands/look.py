@@ -66,7 +66,7 @@ class SetTransfer(Command, frozen=True):
     document: dict[str, Any] | None = None
 
     def choice_problem(self) -> str | None:
-        """Return an error text unless exactly one of both fields is set."""
+        """Return an error text unless exactly one of the two fields is set."""
         if (self.preset is None) == (self.document is None):
             return "set_transfer: expected exactly one of preset and document"
         return None

@@ -43,7 +43,7 @@ class MeasuredMovement(FrozenValue, frozen=True):
     shift_lps: PointLps
     """Shift from this CT to the second CT relative to the main carina, LPS mm."""
     error_mm: Annotated[float, Meta(ge=0.0, le=60.0)]
-    """Length in mm within which the true shift lies round the measured one in 90 %."""
+    """Radius in mm round the measured shift that contains the true shift in 90 % of cases."""
     notes: Annotated[tuple[TargetNote, ...], Meta(max_length=8)] = ()
     """Warnings about the measurement."""
 

@@ -34,7 +34,7 @@ class SetLumenThreshold(Command, frozen=True):
 
 
 class AskedPath(FrozenValue, frozen=True, kw_only=True):
-    """Cost and start of the path to a target.
+    """Cost function and start point of the path search to a target.
 
     The cost ``lumen`` keeps the path in the middle of the airways; the target is moved to the lumen within 5 mm, and
     the move is reported. The costs ``walls`` and ``paper`` (paper 6.3 and 6.2) search the whole scan and move no point.
@@ -45,7 +45,7 @@ class AskedPath(FrozenValue, frozen=True, kw_only=True):
     """Start of the path, for the costs ``walls`` and ``paper``; null is the root of the airways."""
 
     def choice_problem(self) -> str | None:
-        """Return an error text if a path through the lumen has its own start."""
+        """Return an error text if a path through the lumen has a separate start point."""
         if self.cost == "lumen" and self.root_lps is not None:
             name = snake_case(type(self).__name__)
             return f"{name}: expected the cost walls or paper with a separate start point; found lumen"
@@ -71,7 +71,7 @@ class ChooseRoute(Command, frozen=True):
     branch_id: BranchId | None = None
 
     def choice_problem(self) -> str | None:
-        """Return an error text if both destinations are set."""
+        """Return an error text if a point and a branch are both set as the destination."""
         if self.target_id is not None and self.branch_id is not None:
             return "choose_route: expected a target or a branch; found both"
         return None
@@ -182,7 +182,7 @@ class PaintLumen(TreeEdit, frozen=True):
 
 
 class SmoothBranch(TreeEdit, frozen=True):
-    """Smooth a branch's centreline; its ends stay."""
+    """Smooth a branch's centreline between its fixed ends."""
 
     branch_id: BranchId
 

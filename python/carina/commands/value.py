@@ -69,7 +69,7 @@ class Command(FrozenValue, tag_field="type", tag=snake_case, frozen=True):
 
     @classmethod
     def value_class(cls) -> type[FrozenValue] | None:
-        """Return the value class that the command extends; None if the command has a field for the value."""
+        """Return the base class of a command whose own fields are the value; None if it has a value field."""
         bases = (base for base in cls.__bases__ if issubclass(base, FrozenValue))
         return next((base for base in bases if not issubclass(base, Command)), None)
 

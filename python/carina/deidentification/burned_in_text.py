@@ -16,7 +16,7 @@ _SECONDARY_CAPTURE = "1.2.840.10008.5.1.4.1.1.7"
 _TEXT_CLASSES = tuple(f"1.2.840.10008.5.1.4.1.1.{kind}" for kind in ("3.1", "6.1", "6.2", "77.1."))
 """Beginnings of the classes of ultrasound, video and photographs, for files without a modality."""
 _WITH_TEXT = ("US", "IVUS", "ES", "XC", "GM", "SM", "OT", "SC", "DOC", "DG", "SD", "HC", "ECG", "EPS", "HD", "IO")
-"""Modalities whose images usually show text: ultrasound, video, photographs, captured screens, documents."""
+"""Modalities whose images usually contain text: ultrasound, video, photographs, captured screens, documents."""
 _SCREENS = ("SCREEN SAVE", "DOSE_INFO", "DOSE INFO", "SCREENSAVE", "CAPTURE", "PATIENT PROTOCOL")
 
 

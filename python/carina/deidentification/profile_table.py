@@ -108,7 +108,7 @@ KEPT_TEXT = frozenset({
     0x00283003, 0x00283004,  # LUT Explanation, Modality LUT Type
     0x00409210,  # LUT Label
 })  # fmt: skip
-"""Text attributes without identity that the meaning of the pixels needs. All other text is removed."""
+"""Text attributes that do not identify a patient and that the pixels need. All other text is removed."""
 
 KEPT_BINARY = frozenset({
     0x00280106, 0x00280107, 0x00280120, 0x00280121,  # smallest and largest value, padding value and its limit

@@ -28,9 +28,9 @@ Placement = Callable[[Path, Path], None]
 """``placement(draft, target)`` moves a complete draft to its target, or raises and leaves the target unchanged."""
 DRAFT = re.compile(r"\.carina-[0-9a-f]{16}\.draft")
 SWEEP_AGAIN_S = 60.0
-"""Shortest time between two sweeps of one folder; a recorded flight writes thousands of pictures into one folder."""
+"""Minimum time in s between two deletions of old drafts in one folder; a flight writes thousands of pictures there."""
 UNKNOWN_AFTER_S = 86_400.0
-"""Age in seconds from which a draft is considered abandoned if the state of its lock is unknown.
+"""Age in s from which a draft (unfinished file) counts as abandoned if the state of its lock is unknown.
 
 The age decides on file systems without locks, and on Windows, where a draft has no lock shortly before its renaming.
 """
@@ -345,7 +345,7 @@ def _has_same_inode(place: Path, descriptor: int) -> bool:
 
 
 def sweep_drafts(folder: Path, *, now_s: float | None = None) -> int:
-    """Delete the drafts in a folder that a crash has left, and return their number.
+    """Delete the drafts (unfinished files) in a folder that a crash has left, and return their number.
 
     Drafts that a process still writes stay. Errors of the disk are ignored. A folder is swept at most once in
     :data:`SWEEP_AGAIN_S`, unless ``now_s`` is given.

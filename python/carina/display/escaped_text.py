@@ -7,7 +7,7 @@ import re
 MAX_VALUE_CHARS = 80
 """Number of characters to which a message shortens a value of a file's header."""
 MAX_WORD_CHARS = 800
-"""Longest word of a message, such as a path; a word from a user or a file may have a million characters."""
+"""Maximum length of a word in a message, in characters; a word from a user or a file may have a million."""
 # C0 and C1 control characters, line and paragraph separators, direction overrides, and surrogates: Python stores a byte
 # of a file name that is not UTF-8 as a surrogate, which no encoder accepts.
 _UNSAFE = re.compile("[\x00-\x1f\x7f-\x9f\u2028\u2029\u202a-\u202e\u2066-\u2069\ud800-\udfff]")

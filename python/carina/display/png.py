@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 MAX_SIDE_PX = 16_384
-"""Greatest width and height of a PNG that is read, in pixels; more than Carina writes."""
+"""Maximum width and height of a PNG that is read, in pixels; more than Carina writes."""
 SIGNATURE = b"\x89PNG\r\n\x1a\n"
 
 

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from carina.export.plan_dicom_seg import write_target_seg
     from carina.export.plan_dicom_sr import write_target_report
 
-# These names are imported on first use, because other exports do not need pydicom.
+# Names that need pydicom are imported on first use, because other exports work without it.
 _HOME = {
     "write_plan_pdf": "plan_dicom_pdf",
     "write_target_report": "plan_dicom_sr",

@@ -14,7 +14,7 @@ from carina.track import Airways, Branch
 Points = NDArray[np.float64]
 
 DOT_MM, DOT_PITCH_MM = 0.55, 0.75
-"""Radius of the dots of names, and their distance, mm."""
+"""Radius of the embossed dots of branch names, and distance between dots, mm."""
 
 
 def name_dots(

@@ -17,7 +17,7 @@ from carina.track.tree.branch_labels import branch_label
 AHEAD_MM = 40.0
 """Distance to the next turn, mm, up to which the caption names the turn."""
 HOUR_MM = 20.0
-"""Distance to the next turn, mm, up to which the caption gives the direction of the opening; farther it is hidden."""
+"""Maximum distance in mm to a turn whose direction the caption states."""
 
 
 class FilmCaptions:

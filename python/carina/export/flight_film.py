@@ -23,7 +23,7 @@ from carina.render.saved_picture import with_decoration_word
 from carina.scopes import ImageField, scope_preset
 
 MAX_FRAMES = 100_000
-"""Largest number of frames of a video, about an hour at 30 frames per second."""
+"""Maximum number of frames of a video, about an hour at 30 frames per second."""
 
 Rgb = NDArray[np.uint8]
 

@@ -24,7 +24,7 @@ ONE_TARGET = "Target"
 NOT_A_DEVICE = "Not a medical device."
 CORNER_MM = 0.7
 OFF_ROUTE_MM = 3.0
-"""Largest accepted distance in mm between the scope's tip and the smoothed route.
+"""Maximum accepted distance in mm between the scope's tip and the smoothed route.
 
 The planned tip is on the tree's own centreline, and smoothing moves a route by less than this distance.
 """

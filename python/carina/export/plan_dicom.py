@@ -44,11 +44,11 @@ Identity = Literal["from the CT", "none"]
 
 _WHOSE: Final = (
     *("PatientName", "PatientID", "IssuerOfPatientID", "PatientBirthDate", "PatientSex"),
-    # These elements are present in a CT that was already de-identified.
+    # Elements by which a CT states that it was de-identified.
     *("PatientIdentityRemoved", "DeidentificationMethod"),
     *("StudyDate", "StudyTime", "StudyID", "StudyDescription", "AccessionNumber", "ReferringPhysicianName"),
 )
-# These are type 2 elements: a standard object must contain them, but they may be empty.
+# Type 2 elements: a standard object must contain each of them, and may leave it empty.
 _NEVER_LEFT_OUT: Final = (
     *("PatientName", "PatientID", "PatientBirthDate", "PatientSex"),
     *("StudyDate", "StudyTime", "StudyID", "AccessionNumber", "ReferringPhysicianName"),
@@ -70,7 +70,7 @@ class CtImages:
 
     slices: tuple[SliceHeader, ...]
     first: Dataset
-    """Data set of the first slice, without texts in an unknown character set."""
+    """Data set of the CT's first slice, without texts in an unknown character set."""
     doubtful: frozenset[str] = frozenset()
     """Keywords of the texts that were left out of ``first``."""
 

@@ -21,7 +21,7 @@ from carina.export.plan_dicom import Identity, check_suffix, check_text, code_it
 from carina.volume import Volume
 
 MAX_BYTES: Final = 500_000_000
-"""Largest size of a PDF; a report of some pages has a few million bytes."""
+"""Maximum size of a PDF; a report of some pages has a few million bytes."""
 
 
 def write_plan_pdf(

@@ -47,7 +47,7 @@ _TRAJECTORY = struct.Struct(">64s32sBB4B3f3ff20s")
 _ENTRY_AND_TARGET = 3
 _ASCII, _UTF8 = 3, 106
 _MAX_STRING_BYTES = 65_535
-# The same colours as in the markups for 3D Slicer.
+# Colours as in the markups for 3D Slicer, so that both imports of a plan look alike.
 _TARGET_RGBA = (240, 228, 66, 255)
 _NEEDLE_RGBA = (204, 121, 167, 255)
 _DOUBTFUL_RGBA = (217, 38, 38, 255)

@@ -47,7 +47,7 @@ PIN_MM, PIN_LENGTH_MM, CLEARANCE_MM = 3.0, 4.0, 0.2
 The supports of the core have the same distance from their beds.
 """
 SUPPORT_MM, SUPPORT_LENGTH_MM = 1.2, 4.0
-"""Largest radius of the supports of the core at the tips, and their length in the halves, mm."""
+"""Maximum radius of the supports of the core at the tips, and their length in the halves, mm."""
 HANDLE_MM = 5.0
 """Length in mm of the core outside the halves."""
 CHANNEL_MM = 1.5
@@ -55,15 +55,15 @@ CHANNEL_MM = 1.5
 CELL_MM = 1.0
 """Side in mm of the cells of the surface at which the halves meet."""
 MIDDLE_SHARE = 0.4
-"""Share of the radius within which the halves meet at the axis of a branch."""
+"""Share of the radius round a branch's axis within which the two halves meet."""
 ROUNDS = 3000
 """Number of averages over the neighbours, by which the surface becomes smooth."""
 FAR_MM = 50.0
-"""Distance in mm that stands for every distance beyond those that a `WallField` stores."""
+"""Distance in mm that replaces distances beyond those that a `WallField` stores."""
 OVERLAP_CELLS = 3
-"""Number of cells in which a branch may be before or behind another one: the corners of discs."""
+"""Number of cells over which neighbouring branches may overlap in front of or behind each other."""
 LEAST_RADIUS_MM = 1.0
-"""Least median radius in mm of a branch of the mould; a thinner core breaks."""
+"""Minimum median radius in mm of a branch of the mould; a thinner core breaks."""
 
 
 @one_line
@@ -87,7 +87,7 @@ class PrintableMould:
 
     @property
     def parts(self) -> dict[str, Mesh]:
-        """The meshes by name: front, back and core."""
+        """Meshes of the front half, the back half and the core, by name."""
         return dict(zip(MOULD_PARTS, (self.front, self.back, self.core), strict=True))
 
     def to_json(self) -> dict[str, Any]:
@@ -214,7 +214,7 @@ def mould_branches(tree: AirwayTree, wall_mm: float, least_diameter_mm: float) -
 
 
 def _box_of(branches: list[Branch], wall_mm: float) -> tuple[Points, Points]:
-    """Return the corners (3,) of the block of both halves, LPS mm."""
+    """Return the corners (3,) of the block that the two halves form, LPS mm."""
     points = np.concatenate([branch.points for branch in branches])
     radii = np.concatenate([branch.radius for branch in branches])[:, None]
     margin = wall_mm + MARGIN_MM
@@ -291,14 +291,14 @@ class _Rod:
 
     @property
     def reach_mm(self) -> float:
-        """Radius of a ball around the middle that contains the rod."""
+        """Radius in mm of a ball round the rod's middle that contains the rod."""
         return 0.5 * self.length_mm + 1.5 * self.radius_mm
 
 
 def _rods(
     tree: AirwayTree, chosen: list[int], lumen: PrintedLumen, box: tuple[Points, Points], wall_mm: float
 ) -> list[_Rod]:
-    """Return the handle, and the supports of the tips that meet no other branch."""
+    """Return the rods: the handle, and supports of the tips that touch no other branch."""
     root = tree.root
     out = root.points[0] - root.points[min(4, len(root.points) - 1)]
     out /= np.linalg.norm(out)
@@ -330,7 +330,7 @@ def _rods(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Parting:
-    """Surface y(x, z) at which the halves meet."""
+    """Surface y(x, z), LPS mm, at which the two halves meet."""
 
     columns: _Columns
     heights: Floats
@@ -373,7 +373,7 @@ class _Parting:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Shapes:
-    """Shapes of which the parts consist."""
+    """Solids of which the halves and the core consist."""
 
     lumen: PrintedLumen
     wall_mm: float

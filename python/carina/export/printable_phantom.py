@@ -29,13 +29,13 @@ from carina.volume import Volume
 Points = NDArray[np.float64]
 
 WALL_MM = (0.6, 2.2)
-"""Range of the thickness in mm; beyond it the distance to the lumen is not stored."""
+"""Range of wall thickness in mm; distances to the lumen are stored up to its maximum."""
 FIELD_MM = 0.25
 """Distance in mm of the samples of the distance to the printed lumen, between which the distance is interpolated."""
 BUILD_MM = (250.0, 210.0, 210.0)
 """Default build volume in mm, that of a common desktop printer (general knowledge)."""
 LEAST_WALL_MM = 1.0
-"""Default least thickness in mm that a printer makes reliably (general knowledge: two lines of a 0.4 mm nozzle)."""
+"""Default minimum wall thickness in mm that a printer makes reliably (two lines of a 0.4 mm nozzle)."""
 CUT_MM = 2.0
 """Length in mm of the end of the trachea, or of a tip, that is cut off."""
 NARROW_MM = 2.0
@@ -156,11 +156,11 @@ def printable_phantom(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PrintedLumen:
-    """The part of the lumen that samples show as one piece."""
+    """Connected part of the lumen that is printed, as the samples show it."""
 
     mesh: Mesh
     field: WallField
-    """Distance to the mesh."""
+    """Signed distance field of the lumen's mesh."""
 
     @classmethod
     def of(
@@ -360,7 +360,7 @@ def with_dots(depth: NDArray[np.float64], away: NDArray[np.float64], groups: Poi
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Wall:
-    """The wall with its cuts and its names."""
+    """Solid wall with the cuts at its ends and the embossed names."""
 
     field: WallField
     wall_mm: float

@@ -13,11 +13,11 @@ from carina.navigate.flight_path import FlightPath
 from carina.scopes import Pose
 
 MAX_DURATION_S = 86_400.0
-"""Longest flight, one day: a longer one is an input error, and its frames do not fit in memory."""
+"""Maximum duration of a flight, one day; a longer one is an input error, and its frames do not fit in memory."""
 
 
 class AutoFlight:
-    """Flight along a path at constant speed, with a pause at each look-out.
+    """Flight along a path at constant speed, with a pause at each stop before a fork.
 
     Parameters
     ----------

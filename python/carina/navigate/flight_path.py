@@ -202,7 +202,7 @@ class FlightPath:
         return self._source_lps
 
     def made_from(self) -> dict[str, Any]:
-        """Arguments from which :meth:`made_before` creates the same path, bit for bit."""
+        """Arguments for :meth:`made_before`, which makes an identical path from them, bit for bit."""
         return {
             "points_lps": tuple(map(tuple, self._source_lps.tolist())),
             "up_lps": self._up_lps,
@@ -243,7 +243,7 @@ class FlightPath:
 
     @check_arguments(path_mm=number_from(-COORDINATE_MM, COORDINATE_MM, unit="mm"))
     def next_fork_mm(self, path_mm: float) -> float:
-        """Return the position in mm of the first look-out beyond a position of the path.
+        """Return the position in mm of the first stop before a fork beyond a position of the path.
 
         The path's end if there is none.
         """
@@ -252,7 +252,7 @@ class FlightPath:
 
     @check_arguments(path_mm=number_from(-COORDINATE_MM, COORDINATE_MM, unit="mm"))
     def previous_fork_mm(self, path_mm: float) -> float:
-        """Return the position in mm of the last look-out before a position of the path.
+        """Return the position in mm of the last stop before a fork that precedes a position of the path.
 
         The path's start if there is none.
         """

@@ -28,7 +28,7 @@ STAND_S = 0.1
 @one_line
 @dataclass(frozen=True, slots=True)
 class KeyFrame:
-    """Pose of a flight, and the route and speed of the leg that leads to it.
+    """Pose of a flight, with the route and speed from the previous key frame to this one.
 
     Parameters
     ----------
@@ -185,12 +185,12 @@ class KeyFrameFlight:
 
     @property
     def leg_mm(self) -> tuple[float, ...]:
-        """Length of the leg to each key frame from the one before, mm; one fewer than key frames."""
+        """Length of the path to each key frame from the previous one, mm; one value fewer than key frames."""
         return tuple(leg.length_mm for leg in self._legs)
 
     @property
     def through_airways(self) -> tuple[bool, ...]:
-        """Whether each leg of the flight follows the airways."""
+        """Whether the flight follows the airways between each key frame and the next."""
         return tuple(leg.frames is not None for leg in self._legs)
 
     def pose_at(self, time_s: float) -> Pose:
@@ -210,7 +210,7 @@ class KeyFrameFlight:
 
 
 class _InterruptedMotion:
-    """Distance flown on a leg with a rest, as a function of time."""
+    """Distance flown between two key frames, with a rest, as a function of time."""
 
     def __init__(self, first: _CruiseMotion, first_mm: float, second: _CruiseMotion) -> None:
         self._first, self._first_mm, self._second = first, first_mm, second

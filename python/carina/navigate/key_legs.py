@@ -29,7 +29,7 @@ BEND_RAD = math.radians(40.0)
 LOOK_MM = 8.0
 # The path moves from a key frame to the centreline over four times their distance, and over at least EASE_MM.
 EASE, EASE_MM = 4.0, 4.0
-# Largest distance of the rounded path from the corner of the centrelines at a fork, where both lumens are one.
+# Maximum distance of the rounded path from the corner of the centrelines at a fork, where both lumens are one.
 ROUND_MM = 1.0
 CORNER_MM = 2.0
 # Cosine of the angle to the anterior axis above which "anterior up" is unstable.
@@ -71,7 +71,7 @@ class AirwayWay:
 
 @dataclass(slots=True, eq=False)
 class Leg:
-    """Leg from one key frame to the next.
+    """Leg, the part of a flight from one key frame to the next.
 
     Positions depend on the distance flown; directions depend on the distance and the fraction of the time.
     """
@@ -186,7 +186,7 @@ def _through_space(n: int, at: Points, poses: Sequence[Points], airways: Sequenc
     knot = math.sqrt(length)
 
     def slope(beyond: int, leg_beyond: int, tangent_at: int) -> Points:
-        """Return the slope of the curve at one end of a leg, per knot interval.
+        """Return the slope of the flight curve at one end of a leg, per knot interval.
 
         ``beyond`` is the next key frame outside the leg, and ``leg_beyond`` the leg to it. If that leg follows an
         airway, its tangent at index ``tangent_at`` gives the slope.
@@ -224,7 +224,7 @@ def _leg_along_airway(way: AirwayWay, start: Points, end: Points) -> Leg | None:
     if path.length_mm <= away:
         return None
     half = path.length_mm / 2.0
-    # The centreline is where an airway is widest, so the path soon moves from a key frame beside it to the centreline,
+    # The centreline is where an airway is widest. Therefore the path soon moves from a key frame beside it to it,
     # and leaves it late.
     leaving = _smooth(mm / min(half, max(EASE * float(np.linalg.norm(off_start)), EASE_MM)))
     coming = _smooth((mm[-1] - mm) / min(half, max(EASE * float(np.linalg.norm(off_end)), EASE_MM)))

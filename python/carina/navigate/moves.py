@@ -41,7 +41,7 @@ Sixteen = tuple[float, ...]
 
 
 class PilotMove(FrozenValue, frozen=True, tag_field="move", tag=True):
-    """Move that is not a command: it follows from a command, from a device or from the clock."""
+    """Movement of the tip that a command, a device or the clock caused."""
 
 
 class PathWay(FrozenValue, frozen=True):
@@ -71,7 +71,7 @@ class SetPath(PilotMove, frozen=True):
 
 
 class DeviceSaid(PilotMove, frozen=True):
-    """Sample of a device, and its time of arrival (s, monotonic)."""
+    """Sample of a device, with its time of arrival in seconds (monotonic clock)."""
 
     device: str
     sample: Sample

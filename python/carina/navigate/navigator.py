@@ -29,7 +29,7 @@ Mode = Literal["free", "path", "scope"]
 OperatorPosition = Literal["head", "facing"]
 Limit = Literal["none", "volume", "path start", "path end"]
 
-# Largest distance in mm at which the tip joins the path gradually. The trachea's radius is about 9 mm; from farther
+# Maximum distance in mm at which the tip joins the path gradually. The trachea's radius is about 9 mm; from farther
 # away the transition would pass through tissue.
 JOIN_MM = 10.0
 MM = bounded(COORDINATE_MM, unit="mm")
@@ -112,7 +112,7 @@ class Navigator:
 
     @property
     def mode(self) -> Mode:
-        """Mode: ``"free"``, ``"path"`` or ``"scope"``."""
+        """Mode of movement: ``"free"``, ``"path"`` (along a path) or ``"scope"`` (in the lumen)."""
         return self._mode
 
     @property
@@ -277,7 +277,7 @@ class Navigator:
         self._advance_on_path(path_mm)
 
     def next_fork(self) -> float:
-        """Move the tip to the next look-out or the end of the path; return the position in mm."""
+        """Move the tip to the next stop before a fork, or the path's end; return the position in mm."""
         self.go_to(self._needed_path().next_fork_mm(self._nearest_mm()))
         return self._path_mm
 
@@ -358,7 +358,7 @@ class Navigator:
     # Orientation.
 
     def reset_look(self) -> None:
-        """Look along the path again; no effect in mode *free*."""
+        """Turn the view back to the direction of the path; no effect in mode *free*."""
         if self._mode == "path":
             self._look = np.eye(3)
             self._entry = np.eye(3)
@@ -458,7 +458,7 @@ class Navigator:
         return self._drive
 
     def _drive_by(self, advance_mm: float, roll_rad: float, pitch_rad: float, dt_s: float) -> None:
-        """Move the scope by amounts relative to its present state.
+        """Move the scope by an advance, roll and flexion relative to its present state.
 
         The amounts are not added to the last commanded values, so a hand that pushed against a wall need not first draw
         back.
@@ -572,7 +572,7 @@ class Navigator:
 
 
 def eased(amount: float, moved_mm: float, rate_per_mm: float) -> float:
-    """Return the fraction of an offset that remains after an advance.
+    """Return the fraction of a lateral or angular offset that remains after an advance.
 
     The offset decreases by ``rate_per_mm``, and exponentially once that is slower. The formula is closed, so ten steps
     of 1 mm give the same result as one of 10 mm.

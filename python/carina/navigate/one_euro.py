@@ -1,4 +1,4 @@
-"""One-euro filter: strong smoothing while the hand rests, short delay while it moves."""
+"""One-euro filter of a hand's movement: strong smoothing at rest, short delay during movement."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ HANDLE_MM = 50.0
 
 
 def filter_latency_ms(controls: DeviceControls) -> float:
-    """Return the filter's delay at rest in ms, which is its largest delay.
+    """Return the filter's maximum delay in ms, which is the delay at rest.
 
     A low-pass of cut-off frequency fc delays slow movements by 1 / (2 pi fc), and by less while the hand moves, since
     fc grows with speed.

@@ -62,19 +62,20 @@ class DeviceState:
 @one_line
 @dataclass(frozen=True, slots=True)
 class PenState:
-    """State of the tracked pen that moves the tip, and the point that its button marks."""
+    """State of the tracked pen (stylus) that moves the tip, and the point that its button marks."""
 
     device: str
     is_tracked: bool
-    """Whether the pen reports its position, not only its orientation."""
+    """Whether the pen (stylus) reports its position, not only its orientation."""
     lps: tuple[float, float, float] | None
-    """Tip of the pen in the patient, LPS mm; None unless its tracker is registered."""
+    """Position of the pen's (stylus's) tip in the patient, LPS mm; None unless its tracker is registered to the
+    patient."""
     off_mm: float | None
-    """In *absolute*: remaining distance between the scope's tip and the pen, mm."""
+    """Distance in mm between the scope's tip and the pen while the pen positions the tip absolutely; else None."""
     off_rad: float | None
-    """In *absolute*: remaining angle between the scope's tip and the pen, radians."""
+    """Angle in radians between the scope's tip and the pen while the pen positions the tip absolutely; else None."""
     is_armed: bool
-    """Whether a press of the pen's first button marks a point."""
+    """Whether the next press of the pen's (stylus's) first button marks a point for an edit."""
 
 
 @dataclass(slots=True)
@@ -83,7 +84,7 @@ class _Device:
     measured: Sample | None = None
     """Latest sample as the device measured it, unfiltered."""
     newest: Sample | None = None
-    """Latest sample after the filter."""
+    """Latest sample of the device after the smoothing filter."""
     arrived_s: float = -math.inf
     buttons: int = 0
     registration: Registration | None = None
@@ -124,7 +125,7 @@ class Pilot:
         self.on_move: Callable[[m.Move, float], None] | None = None
         """Function that receives every applied move and the time since the hand's last move (s), for recordings."""
         self.wall: WallField | None = None
-        """Wall that constrains a scope in the lumen."""
+        """Distance field of the airway wall, which confines the scope to the lumen; None without airways."""
         self.wall_made_from: dict[str, Any] | None = None
         """JSON values from which a replay computes the same wall; recorded with each inserted scope."""
         self._gate = SampleGate()
@@ -153,14 +154,14 @@ class Pilot:
 
     @property
     def control(self) -> Control:
-        """Control: how a device moves the tip now."""
+        """Way in which a device moves the tip at present."""
         mode = self.navigator.mode
         # The wall constrains a scope, so a pen cannot set its position (no *absolute*).
         return "path" if mode == "path" else "relative" if mode == "scope" else self._free
 
     @property
     def controls(self) -> DeviceControls:
-        """Settings of devices: gains, clutch, speeds, filter."""
+        """Settings of the devices: gains, clutch, speeds, filter."""
         return self._controls
 
     @property

@@ -33,11 +33,11 @@ from carina.volume import Volume
 FORMAT, VERSION = "carina-recording", 1
 MAX_BYTES = 1 << 30
 MAX_LINE = 64 << 20
-"""Largest accepted length of a line in characters: a path of a million points."""
+"""Maximum accepted length of a line in characters: a path of a million points."""
 TaskOutcome = Literal["completed", "stopped", "time-limit", "interrupted"]
 """End of an attempt at a task: completed, stopped by the user, at the time limit, or for another reason."""
 MAX_LENGTH_S = 1e7
-"""Longest accepted recording in seconds: four months."""
+"""Maximum duration of an accepted recording in seconds: four months."""
 
 
 def case_key(volume: Volume) -> dict[str, Any]:
@@ -173,7 +173,7 @@ class Recorder:
         self._write({"t": self._time(self._at_s), "task": task, **owner})
 
     def note_task_end(self, outcome: TaskOutcome, now_s: float) -> None:
-        """Record the end of the attempt."""
+        """Record the end of the attempt at the training task."""
         self._in_task = False
         self.tick(now_s)
         self._write({"t": self._time(self._at_s), "task_end": outcome})

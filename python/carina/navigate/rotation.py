@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 
 def rotation_from_vector(vector_rad: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the 3x3 rotation about a vector by its length in radians (Rodrigues)."""
+    """Return the 3x3 rotation about a vector; the vector's length is the angle in radians (Rodrigues)."""
     angle = float(np.linalg.norm(vector_rad))
     if angle < 1e-12:
         # sin(a)/a = 1 - a^2/6: below 1e-12 the first order is exact in float64.

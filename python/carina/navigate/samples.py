@@ -29,7 +29,7 @@ Refusal = Literal[
 MAX_MM = 1e5
 MAX_BUTTONS = 32
 MAX_DEVICES = 64
-"""Limit of devices that are tracked at once; device names come from outside, so their number must be bounded."""
+"""Maximum number of devices that are tracked at once, because other programs choose device names."""
 MAX_NAMED = 3
 OTHERS = "other devices"
 # Deflection below which a stick counts as released: tremor of a finger and offset of a stick.
@@ -154,14 +154,14 @@ def _is_at_rest(sample: Sample) -> bool:
 
 @dataclass(slots=True)
 class _DeviceRecord:
-    """State of one device that the gate needs to judge its next sample."""
+    """State of one device, from which the next sample of the device is accepted or rejected."""
 
     last_s: float | None = None
-    """Time of the device's clock in its last admitted sample, s."""
+    """Time in the device's clock of its last accepted sample, s; None before the first."""
     backwards_since_s: float | None = None
     arrived_s: float = -math.inf
     rests: bool = True
-    """Whether the last admitted sample requested no movement."""
+    """Whether the last accepted sample requested no movement."""
     num_used: int = 0
     ignored: Counter[Refusal] = field(default_factory=Counter)
 
@@ -243,7 +243,7 @@ class SampleGate:
         return checked
 
     def take(self, device: str) -> None:
-        """Make a device the holder of the scope.
+        """Select the device that may move the scope.
 
         If the device stays silent, it keeps the scope as long as any other holder would.
         """

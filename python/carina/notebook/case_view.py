@@ -38,12 +38,12 @@ logger = logging.getLogger(__name__)
 DEFAULT_VIEWS = (LEAD_VIEW, *PLANES)
 MAX_VIEWS = 6
 MAX_ACTIONS = 100
-"""Largest number of the user's actions in one request; later ones are ignored."""
+"""Maximum number of the user's actions in one request of the notebook; later actions are ignored."""
 PIXELS = (32, 2048)
-"""Least and greatest width and height in pixels of a picture of the view."""
+"""Minimum and greatest width and height in pixels of a picture of the view."""
 MOVING_QUALITY, STILL_QUALITY = 80, 95
 MAX_TURN_RAD, MAX_ADVANCE_MM, MAX_SLICES = math.pi, 200.0, 200
-"""Greatest movement and number of slices in one request."""
+"""Maximum movement of the tip in mm, and maximum number of slices, in one request."""
 
 
 @check_arguments(source=file_path(also=(Volume, Case)), height_px=pixels())

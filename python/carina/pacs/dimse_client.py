@@ -31,7 +31,7 @@ _GET = "1.2.840.10008.5.1.4.1.2.2.3"
 _SERVICES = (_ECHO, _FIND, _MOVE, _GET)
 _ROOT = "1.2.840.10008.5.1.4.1.1"
 _STORED = tuple(f"{_ROOT}.{kind}" for kind in ("2", "2.1", "4", "4.1", "7", "66.4", "88.33", "88.34", "104.1", "11.1"))
-"""Classes that can be retrieved: CT and MR, classic and enhanced, captures, SEG, SR, PDF, presentation states."""
+"""SOP classes that can be retrieved: CT and MR, classic and enhanced, captures, SEG, SR, PDF, presentation states."""
 _PLAIN = ("1.2.840.10008.1.2.1", "1.2.840.10008.1.2")
 _COMPRESSED = tuple(
     f"1.2.840.10008.1.2.{kind}" for kind in ("4.70", "4.57", "4.80", "4.90", "5", "4.50", "4.51", "4.81", "4.91")
@@ -39,7 +39,7 @@ _COMPRESSED = tuple(
 _IMAGE_CLASSES = _STORED[:4]
 _PENDING = (0xFF00, 0xFF01)
 _SLOW_S = 120.0
-"""Longest wait in seconds for the next message of a PACS, which may have to load a tape."""
+"""Maximum wait in seconds for the next message of a PACS, which may have to load a tape."""
 _BATCH = 200
 """Number of images in one request of a resumed retrieval."""
 # The library logs the values of identifiers and AE titles; nothing about a patient may be logged.
@@ -419,7 +419,7 @@ class _Receiver:
         self._problem: BaseException | None = None
         self.num_received = 0
         self._num_bytes: dict[Any, int] = {}
-        """Bytes of each association since its last complete image."""
+        """Number of bytes that each association has received since its last complete image."""
         self.rejected_title = ""
         """AE title of a program whose connection to the listener was refused; empty without one."""
 

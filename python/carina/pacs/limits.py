@@ -19,17 +19,18 @@ __all__ = [
 ]
 
 MAX_ANSWER_BYTES = 64 << 20
-"""Largest answer to a search; 20,000 images have 6 MB."""
+"""Maximum size in bytes of the answers to a search; 20,000 images have 6 MB."""
 MAX_IMAGE_BYTES = 2 << 30
-"""Largest image; an enhanced file contains a whole series."""
+"""Maximum size in bytes of an image; an enhanced file contains a whole series."""
 MAX_PREVIEW_BYTES = 32 << 20
-"""Largest image for the picture of a series; a larger one, such as an enhanced file, is not retrieved for it."""
+"""Maximum size in bytes of an image that is retrieved for the picture of a series."""
 MAX_SERIES_BYTES = 8 << 30
-"""Largest series on the disk: twice the voxels that Carina opens, because some files have 32 bits per voxel."""
+"""Maximum size in bytes of a series on the disk: twice the voxels that Carina opens, because some files have 32
+bits."""
 MAX_SERIES_IMAGES = 20_000
-"""Largest number of images of one series; a 4D chest CT has a few thousand."""
+"""Maximum number of images of one series; a 4D chest CT has a few thousand."""
 MAX_PDU_BYTES = 1 << 20
-"""Largest message part (PDU) that this machine offers to receive."""
+"""Maximum size in bytes of a message part (PDU) that this machine offers to receive."""
 
 
 def too_large(name: str, what: str) -> PacsError:

@@ -26,13 +26,13 @@ __all__ = ["SeriesPreview", "likeliest_series", "preview_series"]
 
 _CHEST = re.compile(r"chest|thora|lung|pulmo", re.IGNORECASE)
 _FEWEST_IMAGES = 20
-"""Smallest number of images of a series that is proposed; fewer are a scout or a part."""
+"""Minimum number of images of a series that is proposed; fewer are a scout or a part."""
 
 
 @one_line
 @dataclass(frozen=True, slots=True)
 class SeriesPreview:
-    """Facts of a series that only its images state, from its middle image."""
+    """Properties of a series that only its images state, read from the middle image."""
 
     info: SeriesInfo | None = None
     """Thickness, kernel, phase and date, and no number of slices; None if the image cannot be read."""

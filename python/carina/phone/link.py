@@ -15,7 +15,7 @@ MAX_RATE_HZ = 120.0
 """Maximum message rate; the screens of phones refresh at most at this rate, in Hz."""
 BURST = 60.0
 MAX_BAD = 50
-"""Number of invalid messages after which the connection is closed; Carina's own page sends none."""
+"""Maximum number of invalid messages of a connection; with more, it is closed. Carina's own page sends none."""
 
 
 class ClockMap:

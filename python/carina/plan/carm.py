@@ -23,19 +23,20 @@ Points = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 MAX_PRIMARY_DEG, MAX_SECONDARY_DEG = 60, 30
-"""Largest LAO or RAO, and cranial or caudal, angle that is searched, in degrees (common knowledge)."""
+"""Maximum LAO or RAO, and cranial or caudal, angle that is searched, in degrees (common knowledge)."""
 STEP_DEG = 5
 MIN_CLEAR_MM = 3.0
 """Least distance in mm, at the scale of the isocentre, between target or tip and the shadow of spine or mediastinum."""
 MAX_TILT_DEG = 30.0
-"""Largest angle in degrees between the last branch and the image plane; at 30, 87 % of its length is visible."""
+"""Maximum angle in degrees between the last branch and the image plane; at 30, 87 % of its length is visible."""
 ENOUGH_MM = 15.0
 """Distance in mm from the shadows above which a larger distance does not improve the rank."""
 APART_DEG = 15.0
-"""Least difference in degrees between two proposed positions of the C-arm; more similar positions are dropped."""
+"""Minimum difference in degrees between two proposed C-arm positions; the lower-ranked of more similar ones is
+dropped."""
 MAX_ANGLES = 3
 LAST_MM = 20.0
-"""Length in mm before the tip over which the direction of the last branch is measured."""
+"""Length in mm of centreline before the scope's tip over which the direction of the last branch is measured."""
 
 GRID_MM = 3.0
 HALF_DIAGONAL_MM = 0.5 * 3.0**0.5 * GRID_MM
@@ -43,7 +44,7 @@ BONE_HU = 150.0
 SPINE_HALF_MM = 35.0
 """Half the width in mm of the spine with its transverse processes."""
 LEFT_MM, RIGHT_MM = 95.0, 55.0
-"""Largest distances in mm of mediastinum from the spine, left and right; tissue beyond may be diaphragm."""
+"""Maximum distances in mm of mediastinum from the spine, left and right; tissue beyond may be diaphragm."""
 AROUND_TARGET_MM = 4.0
 """Distance in mm from the target within which tissue belongs to the target and its blurred edge."""
 
@@ -106,7 +107,7 @@ class CArmAngle:
 @one_line
 @dataclass(frozen=True, slots=True)
 class CArmAngles:
-    """Proposed positions of a C-arm for one route, the best position first."""
+    """Proposed C-arm positions for one route, the position with the best rank first."""
 
     route_key: str
     angles: tuple[CArmAngle, ...]

@@ -81,13 +81,13 @@ class Box:
         return cls(values, known, float(np.linalg.norm(lps_from_ijk[:3, 0])), lps_from_ijk)
 
     def steps_from(self, at: tuple[int, ...]) -> NDArray[np.float64]:
-        """Return the distances of all voxels from one voxel, in voxels."""
+        """Return the distance of each voxel of the box from one voxel, in voxels."""
         z, y, x = (np.arange(n, dtype=np.float64) - k for n, k in zip(self.hu_zyx.shape, at, strict=True))
         off: NDArray[np.float64] = np.sqrt(z[:, None, None] ** 2 + y[None, :, None] ** 2 + x[None, None, :] ** 2)
         return off
 
     def offsets_mm(self, point_lps: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the distances of all voxels from a point in LPS mm, in mm."""
+        """Return the offset of each voxel from a point (LPS mm) in mm."""
         i, j, k = (point_lps - self.lps_from_ijk[:3, 3]) / self.step_mm
         z, y, x = (np.arange(n) - at for n, at in zip(self.hu_zyx.shape, (k, j, i), strict=True))
         off: NDArray[np.float64] = np.sqrt(z[:, None, None] ** 2 + y[None, :, None] ** 2 + x[None, None, :] ** 2)
@@ -164,7 +164,7 @@ def lung_median_hu(smooth: Values) -> float:
 
 
 def component_at(mask: Mask, at: tuple[int, ...]) -> Mask:
-    """Return the part of a mask that is connected to a voxel by faces; empty if the mask does not contain the voxel.
+    """Return the face-connected part of a mask that contains a voxel; empty if the voxel is not in the mask.
 
     Parameters
     ----------

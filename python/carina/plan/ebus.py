@@ -19,7 +19,7 @@ from carina.track import AirwayTree, Branch, name_words
 Points = NDArray[np.float64]
 Side = Literal["R", "L"]
 DirectionBasis = Literal["tree", "k"]
-"""Source of a direction: ``tree``, from two bronchi of this tree; ``k``, common knowledge, equal in every chest."""
+"""Origin of a landmark's direction: ``tree``, two bronchi of this tree; ``k``, common knowledge for every chest."""
 
 STATION_SOURCE = "Rusch et al., J Thorac Oncol 2009;4:568-577 (IASLC map)"
 EBUS_LIMITS = (
@@ -38,11 +38,12 @@ TRACHEA_LEFT_MM = 6.0
 The point is at the first or second space between cartilages; the distance is common knowledge.
 """
 MAIN_SHARE = 0.6
-"""Position at which stations 7 and 10 are examined, as a share of the length of a main bronchus."""
+"""Position on a main bronchus at which stations 7 and 10 are examined, as a share of the bronchus's length."""
 BEYOND_MM = 4.0
 """Distance in mm beyond a fork, in its lower bronchus, at which station 11 is examined."""
 ANGLE_MM = 10.0
-"""Distance in mm from a fork to one point on each of its bronchi; the probe is aimed between the two points."""
+"""Distance in mm from a fork to one point on each of its bronchi; the ultrasound probe is aimed between these
+points."""
 AXIS_MM = 3.0
 """Distance in mm to both sides of a point over which the direction of a bronchus is measured."""
 
@@ -88,7 +89,7 @@ class Landmark:
     direction_lps: tuple[float, float, float] | None
     """Unit vector across the airway, LPS, towards the wall behind which the station is."""
     clock_head: float | None
-    """Clock hour in the levelled picture of an operator at the patient's head, 0 < hours <= 12; error about 1 hour."""
+    """Clock hour of the station in the levelled picture for an operator at the head, 0 < hours <= 12; error about 1."""
     clock_facing: float | None
     """Clock hour of the station for an operator who faces the patient, 0 < hours <= 12; None without this airway."""
     direction_basis: DirectionBasis
@@ -233,7 +234,7 @@ class _Finder:
         return self._landmark(blank, pieces, MAIN_SHARE * _length(pieces), _aside(side, 45.0))
 
     def _interlobar(self, station: str, like: str, upper: str, lower: str) -> Landmark:
-        """Return the landmark of a station that lies between two bronchi of one fork, seen from the lower bronchus."""
+        """Return the landmark of a lymph node station between two bronchi, examined from the lower bronchus."""
         blank = _blank(station, _long(lower), _BORDERS[like], "tree")
         pieces = self._pieces(lower)
         if not pieces:
@@ -295,7 +296,7 @@ class _Finder:
         return self._origin.from_carina_mm(inside + at_mm)
 
     def _pieces(self, name: str) -> tuple[Branch, ...]:
-        """Return the branches of a named bronchus in tree order; side branches divide a bronchus into several."""
+        """Return the branches that have the name of a bronchus (side branches divide it), in tree order."""
         found: list[Branch] = []
         for branch in self._tree.branches:
             if branch.name == name and (not found or branch.parent == found[-1].id):

@@ -1,4 +1,4 @@
-"""Move of the hand along a route: turn, flexion and advance."""
+"""Move of the operator's hand along a route: turn, flexion and advance of the scope."""
 
 from __future__ import annotations
 

@@ -48,7 +48,7 @@ NOT, MAY, REACHES = 0, 1, 2
 STEP_MM = 2.0
 """Voxel size of the map in mm, on each axis."""
 APART_MM = 2.0
-"""Least distance in mm between the centreline points of one branch from which the tool's reach is computed."""
+"""Minimum distance in mm between the centreline points of one branch from which the tool's reach is computed."""
 TARGET_MM = 10.0
 """Diameter in mm of the ball that represents a target at each voxel."""
 NUM_WAYS = 300
@@ -57,7 +57,7 @@ TABLE_STEP_MM, TABLE_STEP_DEG, TABLE_MAX_DEG = 0.5, 1.0, 60.0
 """Steps of the table of hit shares, and its largest angle; beyond that angle no needle hits."""
 NUM_ON_LINE = 12
 SIDE_DEG = 35.0
-"""Largest angle in degrees, round the airway's axis, between the tip's side and the target's side."""
+"""Maximum angle in degrees, round the airway's axis, between the tip's side and the target's side."""
 MARGIN_DEG = 30.0
 """Angle in degrees by which a needle's direction may exceed that of the target's centre, from the airway's axis."""
 

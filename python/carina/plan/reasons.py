@@ -16,7 +16,7 @@ from carina.volume.inserted_structures import INSERTED_BEGINNING
 from carina.volume.model import Remark
 
 Severity = Literal["stop", "caution"]
-"""Severity of a reason.
+"""Severity of a reason against a plan.
 
 A ``stop`` alone speaks against the plan and is shown in red; a ``caution`` is a limitation of the plan.
 """
@@ -24,7 +24,8 @@ A ``stop`` alone speaks against the plan and is shown in red; a ``caution`` is a
 BY_HAND = (BRUSHED, RESIZED, SPHERE)
 """Notes of a target whose boundary was drawn by hand."""
 ARRIVES = "if it fits: arrives"
-"""Beginning of the text of a verdict whose drive arrives with a thinner substitute; the width is then the reason."""
+"""Beginning of the text of a verdict whose drive arrives only with a thinner substitute, so that width is the
+reason."""
 TOUCHED = {
     "pleura": "the pleura or mediastinum (the CT does not tell them apart)",
     "vessel": "a vessel",

@@ -46,12 +46,12 @@ from carina.track import Airways, AirwayTree, TreeMeasures
 from carina.volume import Volume
 
 NUM_DRIVEN = 3
-"""Default of the largest number of routes that are driven."""
+"""Default of the maximum number of routes along which drives are simulated."""
 MAX_SPARES = 2
-"""Largest number of second-best scope positions, in branches already driven to, whose drives are simulated too."""
+"""Maximum number of second-best scope positions, in branches already driven to, whose drives are simulated too."""
 NUM_THREADS = 2
 DRAFTED = 0.4
-"""Share of the progress bar at which the routes are known for a needle without errors (their *drafts*)."""
+"""Share of the progress bar at which the routes are known for a needle without errors."""
 NOT_DRIVEN = "the drive to this place was not simulated"
 OUTLOOKS: dict[str, Outlook] = {"reaches": "reaches", "does not reach": "does not reach"}
 """Outlook of a route for the outcome of its verdict; *may reach* for all other outcomes."""
@@ -310,7 +310,7 @@ def _judged(
 
 
 def _after_drive(draft: DraftPlan, route: PlannedRoute, judge: RouteJudge, verdict: Verdict) -> PlannedRoute:
-    """Return a route with outlook, needle path and share of hits of its drive."""
+    """Return a route with the outlook, needle path and share of hits that result from its drive."""
     leg = route.leg
     depth, not_deep = draft.judge.depth_limit(leg)
     pointing = next((check for check in verdict.checks if check.name == "pointing"), None)

@@ -15,7 +15,7 @@ from carina.plan.turns.fork_view import Operator
 from carina.track import AirwayTree
 
 NEXT_TO_MM = 25.0
-"""Largest distance in mm from the target's edge to a landmark at which the station counts as next to the target."""
+"""Maximum distance in mm from the target's edge to a landmark at which the station counts as next to the target."""
 ON_ROUTE_MM = 1.0
 """Distance in mm by which a landmark may be beyond the tip and still be on the route."""
 STATION_NOTE = f"{EBUS_LIMITS} Source of the borders: {STATION_SOURCE}."

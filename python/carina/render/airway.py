@@ -123,7 +123,7 @@ class AirwayCaster:
         leaps: bool | None = None,
         prefetch: bool = False,
     ) -> Picture:
-        """Cast a picture; ``leaps`` selects leaps or brute force, None lets trial rays decide.
+        """Cast a picture; ``leaps`` selects skipping of uniform regions or brute force; with None, trial rays decide.
 
         ``prefetch`` changes only the time of leaps over equal values.
         """
@@ -220,7 +220,7 @@ class AirwayCaster:
         )
 
     def _shared_bricks(self, scene: Scene) -> _core.Bricks:
-        """Return the cache that the casts of the scene's values share."""
+        """Return the cache of voxel cubes (bricks) that all casts of the scene's values share."""
         with self._swap:
             # The entry holds a reference to its values, so no other array can have their identity.
             if self._bricks is None or self._bricks[0] is not scene.values:
@@ -270,7 +270,7 @@ def _appearance(scene: Scene, view: AirwayView) -> Appearance | None:
 
 
 def _shown_decorations(scene: Scene, appearance: Appearance | None) -> tuple[DecorationName, ...]:
-    """Return the names of the decorations that a picture of this scene and appearance shows."""
+    """Return the names of the drawn features (decorations) that a picture of this scene and appearance shows."""
     parts = () if appearance is None else appearance.decorations
     return parts if scene.decoration is not None else tuple(part for part in parts if part not in FROM_TREE)
 

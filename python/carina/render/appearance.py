@@ -14,7 +14,7 @@ from carina.errors import RenderError
 DecorationName = Literal["texture", "vessels", "rings", "membrane", "hue", "spurs", "specks", "secretions", "fog"]
 DECORATIONS: tuple[DecorationName, ...] = get_args(DecorationName)
 FROM_TREE: frozenset[DecorationName] = frozenset(("rings", "membrane", "hue", "spurs"))
-"""Names of the decorations that are drawn only if the airway tree is known."""
+"""Names of the decorations (drawn features that the CT does not show) that need the airway tree."""
 
 # Ends of the two light guides of a common video bronchoscope in camera space, mm: a little above the lens's centre.
 TWO_GUIDES_MM = ((-1.9, -0.5, 0.0), (1.9, -0.5, 0.0))
@@ -38,7 +38,7 @@ class Appearance:
     """
 
     guides_mm: tuple[tuple[float, float, float], ...] = TWO_GUIDES_MM
-    """Ends of the one or two light guides in camera space, mm."""
+    """Positions of the ends of the one or two light guides in camera space, mm."""
     exposure: float | None = None
     """Brightness of the guides; None for automatic exposure."""
     ambient: float = 0.12
@@ -56,24 +56,24 @@ class Appearance:
     texture: float = 1.0
     """Strength of mottling and micro relief; 0 for none."""
     vessels: float = 0.0
-    """Strength of invented vessels in the mucosa; 0 for none.
+    """Strength of vessels in the mucosa that are drawn without a basis in the CT; 0 for none.
 
     No CT shows such vessels, and many of them would be a sign of disease.
     """
     silhouettes: bool = True
-    """Whether a pixel at the end of a near wall in front of a far wall takes two rays.
+    """Whether a pixel at the edge of a near wall in front of a far wall takes two rays, which smooths the edge.
 
     This is not decoration: both rays show the CT.
     """
     specks: float = 0.0
-    """Strength of highlights on droplets of mucus, also far away; 0 for none. Decoration."""
+    """Strength of highlights on droplets of mucus, also far away; 0 for none. Drawn, not from the CT."""
     secretions: float = 0.0
     """Strength of glossy pools and bubbles of secretions on the posterior wall, 0..1. Decoration.
 
     The posterior wall is the lowest of a supine patient. No CT shows these secretions.
     """
     fog: float = 0.0
-    """Strength of mist on the lens, 0..1. Decoration."""
+    """Strength of mist on the lens, 0..1. Drawn, not from the CT."""
     rings: float = 0.0
     """Strength of the cartilage rings of trachea and main bronchi and the plates of lobar bronchi; 0 for none.
 
@@ -121,11 +121,11 @@ class Appearance:
 
     @property
     def decorations(self) -> tuple[DecorationName, ...]:
-        """Names of the decorations whose strength in this appearance is above 0."""
+        """Names of the drawn features (decorations) whose strength in this appearance is above 0."""
         return tuple(name for name in DECORATIONS if getattr(self, name) > 0)
 
     def undecorated(self) -> Appearance:
-        """Return a copy of the appearance with every decoration off."""
+        """Return a copy of the appearance without drawn features (decorations)."""
         dry = replace(self, specks=0.0, secretions=0.0, fog=0.0)
         return replace(dry, texture=0.0, vessels=0.0, rings=0.0, membrane=0.0, hue=0.0, spurs=0.0)
 

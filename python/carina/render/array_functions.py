@@ -14,7 +14,7 @@ from carina.volume import Volume
 
 
 def build_isoregion_map(labels_zyx: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Find, for every voxel, the largest cube of equal labels centred on it.
+    """Return for every voxel the radius of the largest cube of equal labels centred on it.
 
     Parameters
     ----------

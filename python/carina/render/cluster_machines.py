@@ -25,7 +25,7 @@ class MemberStatus(Machine, frozen=True):
 
     name: Words
     state: Literal["ready", "late", "away", "loading"]
-    """State in which the machine is.
+    """Readiness of the machine to render: ``late`` has not answered in time, ``away`` must load the scene again.
 
     ``late``: the machine has not answered in time, and others render its strips until it answers. ``loading``: the
     machine is receiving the volume.

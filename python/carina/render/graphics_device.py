@@ -26,9 +26,9 @@ PICTURES_FIRST = 3
 PICTURES_WITHOUT_MAP = 30
 # Number of timed pairs of pictures (one on the CPU, one on the GPU); the shortest time of each processor counts.
 NUM_PAIRS = 5
-# Largest ratio of GPU time to CPU time for which the GPU is chosen: it also costs memory and a copy of every new wall.
+# Maximum ratio of GPU time to CPU time for which the GPU is chosen: it also costs memory and a copy of every new wall.
 WORTH_IT = 0.9
-# Largest ratio of a device's time per pixel to the CPU's measured time per pixel, and number of consecutive slower
+# Maximum ratio of a device's time per pixel to the CPU's measured time per pixel, and number of consecutive slower
 # pictures after which the device is given up: another program may use the device, or the driver may have slowed it.
 MAX_SLOWNESS = 3.0
 SLOW_PICTURES = 10
@@ -39,7 +39,7 @@ COMPARED_PICTURES = 10
 # Error code of a limit of this volume or view, not of the device: another volume may fit.
 LIMIT = "render.gpu-limit"
 FAILED = "render.gpu"
-# Smallest number of pixels of a test picture: a smaller or darker picture shows neither speed nor agreement.
+# Minimum number of pixels of a test picture: a smaller or darker picture shows neither speed nor agreement.
 MIN_PIXELS = 96 * 96
 MIN_LIGHT = 40
 
@@ -49,7 +49,7 @@ Start = Callable[[Callable[[], None]], None]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _DeviceScene:
-    """Copy of a scene in device memory, with the arrays from which it was made."""
+    """Copy of a scene in the graphics device's memory, with the arrays from which it was copied."""
 
     adapter: Adapter
     values: NDArray[np.int16]
@@ -153,7 +153,7 @@ class DeviceCaster:
             self._slower, self._compared = [], []
 
     def _compare_again(self, seconds_per_pixel: float) -> None:
-        """Add a picture of the CPU to the comparison, and decide after enough of them.
+        """Compare one more picture of the CPU with the device's; decide about the device after enough pictures.
 
         These are pictures of the same flight as the device's. The measurement before the choice repeats one view, in
         which a device has every slope already.
@@ -177,7 +177,7 @@ class DeviceCaster:
         )
 
     def count_cpu_picture(self, scene: Scene, view: AirwayView, seconds: float) -> None:
-        """Count a whole picture that the CPU has rendered in a number of seconds.
+        """Record that the CPU rendered a whole picture in a number of seconds.
 
         In ``auto``, start the measurement of the adapters after some pictures.
         """

@@ -42,7 +42,7 @@ Arrays = tuple[NDArray[np.uint8], ...]
 
 @dataclass(frozen=True, slots=True)
 class MapName:
-    """Key of a map: voxel values and classes. It contains nothing about the patient."""
+    """Key of a stored radius map: voxel values and classes. It contains nothing about the patient."""
 
     values_zyx: NDArray[np.int16]
     classes: Any

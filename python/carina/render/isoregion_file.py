@@ -26,7 +26,7 @@ from carina.volume.progress import Watch
 _SAME_VOXEL = 0.05
 """Tolerance of a position in voxels; float32 headers are exact to about 1e-4 mm."""
 _WITH_SCAN = " --with-scan"
-"""Option that writes the scan with its map again, because a map alone would replace the scan."""
+"""Command-line option that writes the scan with its radius map again, because a map alone would replace the scan."""
 
 
 def isoregion_note(volume: Volume, labels_zyx: NDArray[np.uint8], radii_zyx: NDArray[np.uint8]) -> str:
@@ -116,7 +116,7 @@ def open_isoregion_map(
 
 
 def _read(path: Path, volume: Volume, options: str) -> tuple[NDArray[np.uint8], GridHeader]:
-    """Return the radii and the header of a file whose grid is that of the volume."""
+    """Return the radii and the header of a map file whose grid is that of the volume."""
     if not path.exists():
         raise _refused(path, "there is no such file", options)
     form = sniff_format(path) if path.is_file() else None

@@ -17,15 +17,16 @@ from carina.render.views import AirwayView
 from carina.scopes import Pose
 
 MIN_PIXELS = 64 * 64
-"""Number of pixels below which a measurement takes longer than it saves; the trial rays decide there."""
+"""Minimum number of pixels of a picture whose faster method is measured; for smaller pictures trial rays decide."""
 PICTURES_BETWEEN = 32
-"""Number of pictures along a flight after which the times of leaping and brute force are measured again."""
+"""Number of pictures along a flight after which the times of skipping and of brute force are measured again."""
 NEAR_TURN_RAD = 0.25
-"""Turn of the camera beyond which a measurement does not serve."""
+"""Maximum rotation of the camera since a measurement, in radians, with which its result is still used."""
 NEAR_SHARE = 0.1
-"""Share of the volume's diagonal that the camera may move before a measurement does not serve."""
+"""Maximum movement of the camera since a measurement, as a share of the volume's diagonal, with which its result is
+used."""
 STRIPS = 4
-"""Number of strips of a picture in which leaping and brute force are timed."""
+"""Number of strips of a picture in which skipping and brute force are timed."""
 STRIP_ROWS = 4
 """Number of rows of a timed strip: one band of the caster."""
 ROUNDS = 3
@@ -35,17 +36,17 @@ MORE_ROUNDS = 5
 CLOSE_RATIO = 1.25
 """Ratio of the costs of both methods below which the strips are timed in further rounds."""
 MIN_GAIN = 0.02
-"""Share of brute force's time that leaps must save to be chosen; a smaller gain is within the measurement's error."""
+"""Minimum share of brute force's time that skipping must save to be chosen; less is within the measurement's error."""
 MAX_VIEWS = 64
-"""Number of views whose faster method is stored; a further view removes the oldest one."""
+"""Maximum number of views whose faster method is stored; a further view replaces the oldest one."""
 PREFETCH_TRIALS = 4
 """Number of pictures, alternately without and with prefetching, whose times decide whether packets prefetch."""
 PREFETCH_RETRY = 32
-"""Number of pictures after which the other way is timed in one picture again."""
+"""Number of pictures after which the method not in use, with or without prefetches, is timed in one picture again."""
 
 Result = TypeVar("Result")
 CostOf = Callable[[tuple[int, int], bool], float]
-"""Function that returns the cost of rows with leaps (True) or by brute force (False)."""
+"""Function that returns the cost of casting rows with empty-space skipping (True) or by brute force (False)."""
 
 
 class LeapChoice:
@@ -90,7 +91,7 @@ class LeapChoice:
         return self._scene is not None and self._scene[0] is scene[0] and self._scene[1] is scene[1]
 
     def _serves(self, pose: Pose, diagonal_mm: float) -> bool:
-        """Return whether the last measurement serves for a pose."""
+        """Return whether the last measurement is near enough to a pose to be used."""
         if self._measured is None or self._pictures >= PICTURES_BETWEEN:
             return False
         return _are_near(self._measured, pose, diagonal_mm)
@@ -138,7 +139,7 @@ class PrefetchChoice:
 
 
 def _are_near(before: Pose, now: Pose, diagonal_mm: float) -> bool:
-    """Return whether a measurement at one pose serves for another."""
+    """Return whether two poses are so near that the measurement at one is valid for the other."""
     moved_mm = float(np.linalg.norm(now.lps_from_camera[:3, 3] - before.lps_from_camera[:3, 3]))
     turned_rad = float(np.arccos(np.clip(now.lps_from_camera[:3, 2] @ before.lps_from_camera[:3, 2], -1.0, 1.0)))
     return moved_mm <= NEAR_SHARE * diagonal_mm and turned_rad <= NEAR_TURN_RAD
@@ -154,7 +155,7 @@ def is_faster(height: int, cost_of: CostOf) -> bool:
     least = {leaps: dict.fromkeys(strips, math.inf) for leaps in (True, False)}
 
     def time_rounds(turns: range) -> tuple[float, float]:
-        """Time all strips in further rounds, and return the costs with leaps and by brute force."""
+        """Time all strips in further rounds, and return the costs with skipping and by brute force."""
         for rows in strips:
             for turn in turns:
                 # The first method of a round finds less of the volume in the caches, so the methods alternate.

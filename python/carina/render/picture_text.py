@@ -28,7 +28,7 @@ _LETTERS = (("L", "R"), ("P", "A"), ("S", "I"))
 @one_line
 @dataclass(frozen=True, slots=True)
 class PathSpan:
-    """Branch along a path, with the name to print."""
+    """Part of a path inside one branch, with the branch's name to print."""
 
     name: str
     from_mm: float

@@ -50,7 +50,7 @@ from carina.volume import Volume
 
 MARK_RGB = (70, 220, 235)
 A_WORD = text_of(80, least=0)
-"""Check of a text's length only; the view rejects unknown words and numbers out of range with a `RenderError`."""
+"""Check of a text's maximum length; the view itself rejects invalid texts and numbers with a `RenderError`."""
 A_TRANSFER = instance(TransferFunction, "get one from carina.transfer_preset", optional=True)
 A_SCOPE = name_or(ScopePreset, "name one of carina.scopes.scope_presets", optional=True)
 A_LENS = instance(Lens, "create a carina.scopes.Lens", optional=True)

@@ -26,7 +26,7 @@ log = logging.getLogger(__name__)
 RECORD_NAME = "backend.json"
 FORMAT = "carina-backend"
 VERSION = 2
-# Largest fraction of pixels that may differ by more than one grey level from the CPU's picture.
+# Maximum fraction of pixels that may differ by more than one grey level from the CPU's picture.
 MAX_PART_OFF = 1e-3
 
 
@@ -111,7 +111,7 @@ class Backend:
         _check_mode(mode)
         self._mode = mode
         self.num_choices = 0
-        """Number of times that the user chose another processor."""
+        """Number of times that the user has selected a processor."""
         self._lost: str | None = None
         self._unused: str | None = None
         self._listeners: list[Callable[[str], None]] = []
@@ -131,7 +131,7 @@ class Backend:
 
     @property
     def mode(self) -> str:
-        """Choice of the processor: ``cpu``, ``gpu`` or ``auto``."""
+        """Selection of the processor: ``cpu``, ``gpu`` or ``auto``."""
         return self._mode
 
     def set_mode(self, mode: str) -> None:

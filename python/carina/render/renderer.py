@@ -185,7 +185,7 @@ class Renderer:
             Function that is called every 50 ms and returns True to stop. If the transfer function or the lumen changes
             while maps are built, the maps are built again for the latest values.
         all_classes
-            Whether to build also labels and radii of opaque classes, for leaps by the step table with shading off
+            Whether to build also labels and radii of opaque classes, for leaps by the segment table with shading off
             (paper 4.3), in twice the memory. Default: only for transfer functions of sampling ``nearest``, which are
             the paper's.
 

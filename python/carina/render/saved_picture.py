@@ -20,13 +20,13 @@ from carina.render.view_table import VIEWS
 from carina.render.views import Picture
 
 FULL_STEP_VOX = 0.5
-"""Step along the rays of final pictures and of videos, in voxels, in the window and in the command line."""
+"""Step along the rays in voxels for saved pictures and videos, in the window and in the command line."""
 DECORATED = "decorated"
-"""Word in every picture with decoration, which does not come from the CT."""
+"""Word printed in every picture that shows drawn features (decoration), which do not come from the CT."""
 SCALE_MM = (1, 2, 5, 10, 20, 50, 100, 200)
 """Lengths of a scale bar, mm."""
 SCALE_SHARE = 0.25
-"""Largest length of a scale bar as a share of the picture's width; the longest round length below it is drawn."""
+"""Maximum length of a scale bar as a share of the picture's width; the longest round length below it is drawn."""
 
 Point = NDArray[np.float64] | tuple[float, float, float]
 

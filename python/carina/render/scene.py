@@ -1,4 +1,4 @@
-"""Scene of a renderer: values, wall and radius maps.
+"""Scene of a renderer: voxel values with the endoscopic wall, and radius maps for empty-space skipping.
 
 A scene is replaced as a whole, so no picture sees half a change.
 """
@@ -53,7 +53,7 @@ class ValueMaps:
     """
 
     words: NDArray[np.uint16]
-    """Label of each voxel plus 256 times the radius of its IsoRegion, (nz, ny, nx)."""
+    """Label of each voxel plus 256 times the radius of its cube of equal labels, (nz, ny, nx)."""
     label_values: list[int]
 
 
@@ -77,7 +77,7 @@ class Scene:
 def value_maps(labels: NDArray[np.uint8], radius: NDArray[np.uint8], label_values: list[int]) -> ValueMaps:
     """Return labels from 1 on, their values and their radii with the labels in the order of the values.
 
-    A ray skips the step table at labels before the first visible one, which are the most in this order.
+    A ray does not read the segment table at labels before the first visible one, which are the most in this order.
     """
     order = np.argsort(label_values)
     label_of = np.zeros(256, dtype=np.uint16)
@@ -133,7 +133,7 @@ class SceneBuilder:
         self._known_radius = None if radius is None else (width, radius)
 
     def set_transfer(self, transfer: TransferFunction) -> None:
-        """Set the transfer function; the map stays if it fits the new transfer function."""
+        """Set the transfer function; the radius map is retained if it fits the new transfer function."""
         with self._change:
             self._replace(transfer, self._scene.lumen, self._scene.tree, self._scene.decoration)
 
@@ -186,7 +186,7 @@ class SceneBuilder:
     def prepare(
         self, progress: Progress | None = None, cancel: Cancel | None = None, *, all_classes: bool | None = None
     ) -> None:
-        """Build the maps that the current scene lacks, or read them from the cache."""
+        """Build the radius maps that the current scene lacks, or read them from the cache."""
 
         def step(what: str, fraction: float | None) -> None:
             if cancel is not None and cancel():
@@ -263,7 +263,7 @@ class SceneBuilder:
         return value_maps(labels, radius, found.meaning)
 
     def wait_stored(self) -> None:
-        """Wait until the cache has written its maps."""
+        """Wait until the cache has written the radius maps."""
         if self._cache is not None:
             self._cache.wait_stored()
 

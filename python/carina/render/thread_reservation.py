@@ -21,7 +21,7 @@ def picture_threads() -> int:
 
 @contextmanager
 def reserved_thread() -> Iterator[None]:
-    """Reserve one thread for work with deadlines, such as a force loop, in this context.
+    """Reserve one thread, inside this ``with`` block, for work with deadlines such as a force loop.
 
     Pictures keep at least one thread. Nested contexts reserve only one thread together.
 

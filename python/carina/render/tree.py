@@ -22,11 +22,11 @@ BACKGROUND = (0.055, 0.06, 0.07)
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class LeapedValues:
-    """Values of a volume, and the number of voxels that a ray may leap at each voxel."""
+    """Values of a volume, and for each voxel the number of voxels that a ray may skip there."""
 
     values: NDArray[np.int16]
     radius: NDArray[np.uint8]
-    """Chessboard radius in voxels of the IsoRegion around each voxel."""
+    """Radius, in voxels, of the largest cube of equal labels round each voxel."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)

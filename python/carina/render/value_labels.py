@@ -15,7 +15,7 @@ EqualBy = Literal["auto", "values", "bins"]
 EQUAL_BY = ("auto", "values", "bins")
 
 MAX_VALUES = 256
-"""Largest number of different values that are compared as they are: those of 8 bits, as in the paper."""
+"""Maximum number of different values that are each a label (256, as in the paper); more values are grouped in bins."""
 BIN_NAME = f"bins of {PAPER_BIN_HU}"
 VOXELS_PER_PART = 1 << 22
 """Number of voxels that are counted at once in the histogram; it limits the memory for a large volume."""

@@ -14,7 +14,7 @@ from carina.value import PointLps
 @one_line
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ViewSettings:
-    """Settings of one picture of a case's window or of one call."""
+    """Settings of one picture: pose, point and display settings of a case's window, or arguments of one call."""
 
     pose: Pose
     """Pose of the scope's tip."""
@@ -26,7 +26,7 @@ class ViewSettings:
     full_width: int | None = None
     """Width of the picture to which the scales of ``sight`` apply; a smaller picture shows the same area."""
     pose_id: int = 0
-    """Number that identifies the pose, so that poses need no comparison."""
+    """Number of the pose, equal for equal poses, so that poses need no comparison."""
     # The next fields are settings of the airway view.
     scope: ScopePreset | None = None
     picture_turned: bool = False

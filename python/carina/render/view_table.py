@@ -111,7 +111,7 @@ class ViewRow:
     """Text that the cell shows instead of a picture: the view's missing input, or that rendering is in progress."""
     cell: CellName
     spec: Callable[[ViewSettings], View]
-    """Function that returns the view definition for the renderer."""
+    """Function that makes the renderer's view definition from the settings."""
     depends_on: Callable[[ViewSettings], tuple[Hashable, ...]]
     """Function that returns the settings on which the picture depends; equal values give equal pictures."""
     needs: frozenset[Need] = frozenset()
@@ -125,7 +125,7 @@ class ViewRow:
     path. The brush works only in a plane.
     """
     zoom: Literal["tip", "slice", "extent", "path", "carm", "orbit"] | None = None
-    """Object that the wheel, dragging and the keys move in this view, or None.
+    """What the wheel, dragging and the keys move in this view (tip, slice or camera, for example), or None.
 
     It is the tip, the slice stack (with its scale in mm per pixel), the extent of the plane, the reformation, the C-arm
     or the orbit camera.
@@ -145,7 +145,7 @@ class ViewRow:
     at_tip: bool = False
     """Whether the view moves with the tip even while a crosshair fixes the slices."""
     inside: bool = False
-    """Whether the view is a plane through the tip, which has no content outside the volume."""
+    """Whether the view is a plane through the tip, which shows nothing while the tip is outside the volume."""
     wants_tip: bool = True
     """Whether the view needs a pose (default: the top of the trachea) or shows the whole volume or path."""
     marks_tip: bool = False

@@ -23,7 +23,7 @@ Method = Literal["leap", "brute"]
 
 
 class GreyWindow(FrozenValue, frozen=True):
-    """Grey window of all slice views; raw values where the volume is not in HU."""
+    """Window and level of all slice views, in HU, or in stored values if the volume is not in HU."""
 
     width_hu: Annotated[float, Meta(ge=1.0, le=65_536.0)]
     level_hu: Annotated[float, Meta(ge=-32_768.0, le=32_768.0)]
@@ -87,7 +87,7 @@ THIN = Slab(0.0, "min")
 
 
 class Sight(FrozenValue, frozen=True):
-    """Display settings of a case, which are not steps of undo."""
+    """Display settings of a case (window, slab, crosshair, zoom, orbits), which undo does not change."""
 
     crosshair_lps: PointLps | None = None
     """Point that slices and the tri-plane view show; null follows the tip."""
@@ -98,7 +98,7 @@ class Sight(FrozenValue, frozen=True):
     zoom: dict[str, FlatPlace] = msgspec.field(default_factory=dict)
     """Zoom and centre by view name; a view without an entry shows its whole area."""
     orbits: dict[str, Orbit] = msgspec.field(default_factory=dict)
-    """Orbit camera by view name; a view without an entry uses its initial camera."""
+    """Orbit camera by view name; a view whose name is missing uses its initial camera."""
     carm: Carm = Carm(0.0, 0.0, None, "radiograph")
     reformation: Reformation = Reformation(0.0, None)
     shading: bool = True

@@ -200,7 +200,7 @@ class AirwayView:
 
     @property
     def lps_from_rest(self) -> NDArray[np.float64] | None:
-        """Matrix (4, 4) from the CT at rest to the moved patient, mm; None if nothing moves."""
+        """Matrix (4, 4) from the CT at rest to the breathing patient, mm; None if the patient is at rest."""
         return None if self.deformation is None or self.deformation.is_rest else self.deformation.lps_from_rest
 
     @property

@@ -13,7 +13,7 @@ from carina.render.transfer_function import TransferFunction
 # voxel inside and 1/4 in the first voxel outside, so the wall becomes opaque about one voxel outside.
 CAP_LUMEN = (0.0, 0.3, 0.6, 1.0)
 CAP_HEIGHT = (7 / 6, 1.0, -1 / 3, -1.0)
-# Least cap of the shell (the voxels next to the lumen); without it the wall would have holes at corners where most
+# Minimum cap of the shell (the voxels next to the lumen); without it the wall would have holes at corners where most
 # neighbours are lumen.
 LOWEST_SHELL = 2 / 3
 

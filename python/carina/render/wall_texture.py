@@ -22,7 +22,7 @@ from carina.errors import GeometryError
 Floats = NDArray[np.float64]
 
 CHANNELS = ("phase", "left", "back", "rings", "proximal", "spur", "membrane", "regular")
-"""Names of the channels of a grid cell.
+"""Names of the anatomical values in a cell of the decoration grid.
 
 ``phase`` is the number of rings since the top of the trachea. ``left`` and ``back`` are the position across the airway,
 towards the patient's left and back, in units of the airway's radius. The others are strengths 0..1: rings, colour of
@@ -30,20 +30,20 @@ the trachea, ridge of a fork, membranous wall, and regularity of the rings.
 """
 
 CELL_MM = 2.5
-"""Cell size of the decoration grid, mm: below half the distance of two cartilage rings, so that bends are followed.
+"""Cell size in mm of the grid for drawn features: below half the distance of two cartilage rings, to follow bends.
 
 The ridge of a fork is one cell wide.
 """
 REACH = 1.6
-"""Largest distance of a wall from the centreline, in radii; the kernel draws no rings on walls beyond it."""
+"""Maximum distance from the centreline, in radii, of a wall on which rings are drawn."""
 SMOOTH_MM = 3.0
 """Length of the smoothing of the centreline, mm: below the radius of airways with rings, above a voxel."""
 BLEND = 0.08
-"""Width of the transition between the decorations of two neighbouring tubes, in radii of the airway."""
+"""Width of the transition between the drawn features of two neighbouring airways, in radii of the airway."""
 TAIL_MM = 20.0
 """Length over which the last cartilage plates fade out along a segmental bronchus, mm."""
 FORK_MM = 6.0
-"""Length after a fork over which the decoration changes from the parent's to the branch's, mm."""
+"""Length after a fork over which drawn features change from the parent's to the branch's, mm."""
 
 LEVELS = {"Trachea": 0.0, "RMB": 1.0, "LMB": 1.0, "BI": 1.5}
 LEVELS |= dict.fromkeys(("RUL", "RML", "RLL", "LUL", "LML", "LLL", "Upper division", "Lingula"), 2.0)
@@ -93,7 +93,7 @@ class DecorationBranch(Protocol):
 
     @property
     def kind(self) -> str:
-        """Origin of the branch; ``tracked`` if it was found in the CT."""
+        """Origin of the branch, such as ``tracked`` (found in the CT) or ``manual`` (drawn by hand)."""
         ...
 
     @property
@@ -108,7 +108,7 @@ class DecorationBranch(Protocol):
 
     @property
     def confidence(self) -> float | None:
-        """Confidence 0..1, or None if unknown."""
+        """Confidence, 0 to 1, that the branch is an airway; None if unknown."""
         ...
 
 
@@ -129,7 +129,7 @@ class Decoration:
     cells: NDArray[np.float32] = field(repr=False)
     """(nz, ny, nx, 8) float32, finite; the last axis is :data:`CHANNELS`. Cells away from such walls are 0."""
     origin_lps: tuple[float, float, float]
-    """Centre of the first cell, LPS mm."""
+    """Position of the centre of the grid's first cell, LPS mm."""
     cell_mm: float
 
     def __post_init__(self) -> None:
@@ -153,7 +153,7 @@ class _Tube:
     phase: Floats
     per_mm: Floats
     parts: Floats
-    """(n, 4) strengths of the decoration at each point: rings, proximal, membrane, regular."""
+    """Strengths (n, 4) of the drawn features at each point: rings, proximal, membrane, regular."""
     end: Floats
     """Strengths (4,) of the decoration at the end of the branch, before doubtful branches are faded.
 
@@ -165,7 +165,7 @@ class _Tube:
 
 
 def decoration_of(tree: DecorationTree | None) -> Decoration | None:
-    """Compute the decoration of a tree's trachea, main, lobar and first segmental bronchi.
+    """Compute the drawn features (decoration) of a tree's trachea, main, lobar and first segmental bronchi.
 
     Rings fade where a branch is doubtful, bridged or drawn by hand, and where its measured radius differs from its
     smooth course by 14 to 30 %: a stenosis has no rings.
@@ -310,7 +310,7 @@ _Box = tuple[slice, slice, slice]
 
 
 def _add_tube(tube: _Tube, first: Floats, shape: tuple[int, ...]) -> tuple[_Box, NDArray[np.bool_], Floats, Floats]:
-    """Compute the channels of the grid cells near a tube.
+    """Compute the anatomical values of the grid cells near an airway.
 
     Returns
     -------

@@ -66,7 +66,7 @@ class ContactRecord:
 
 
 class ScopeHold(FrozenValue, frozen=True):
-    """Controls of a scope as the operator holds it."""
+    """Insertion, roll and lever flexion of a scope, as the operator sets them."""
 
     insertion_mm: float
     """Insertion in mm from the start of the path along which the scope enters (the trachea's start)."""

@@ -15,7 +15,7 @@ from carina.errors import UsageError
 ANTERIOR_LPS = np.array([0.0, -1.0, 0.0])
 SUPERIOR_LPS = np.array([0.0, 0.0, 1.0])
 FAR_MM = 1e40
-"""Largest absolute coordinate of a pose, mm: a camera far outside the volume is allowed and shows the background."""
+"""Maximum absolute coordinate of a pose, mm: a camera far outside the volume is allowed and shows the background."""
 
 
 def upright(forward_lps: NDArray[np.float64]) -> NDArray[np.float64]:

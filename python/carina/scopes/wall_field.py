@@ -29,7 +29,7 @@ from carina.errors import UsageError, refuse_pickle
 STEP_MM = 0.6
 """Distance in mm from a point to its probes; larger than the diagonal of a square of grid samples."""
 BEYOND_MM = 0.3
-"""Largest distance in mm behind a wall at which a probe may lie, since another lumen may be near."""
+"""Maximum distance in mm behind a wall at which a probe may lie, since another lumen may be near."""
 INSIDE_MM = 4.5
 AT_ONCE = 4096
 

@@ -103,7 +103,7 @@ class JoinedProgram:
 
 
 def problem_message(error: CarinaError) -> wire.Problem:
-    """Return the wire message of an error, from which the program can raise the same error."""
+    """Return the wire message of an error, from which the attached program raises an error of the same class."""
     problem = wire.Problem(kind_of(error), error.code, str(error))
     if not isinstance(error, NoEvidenceError):
         return problem
@@ -124,7 +124,7 @@ def _internal_error(trouble: BaseException) -> CarinaError:
 
 
 async def serve_program(websocket: WebSocket, session: Session) -> None:
-    """Serve one program from its first message until it disconnects or its case is closed."""
+    """Serve one attached program (such as a notebook) until it disconnects or its case is closed."""
     try:
         async with asyncio.timeout(JOIN_WITHIN_S):
             join = wire.parse_join_message(await receive_text(websocket, who="program"))

@@ -90,7 +90,7 @@ class DeviceConnections:
         self._sources: dict[str, Source] = {}
         self._publisher: IgtlServer | None = None
         self._watching: set[int | None] = set()
-        """Numbers of the windows that have subscribed to the values of devices."""
+        """Numbers of the windows that receive the device values a few times a second."""
         self._shown_s = 0.0
         self._sent_pen: wire.Pen | None = None
         self._ports: tuple[tuple[str, ...], str | None] = ((), None)
@@ -281,7 +281,7 @@ class DeviceConnections:
                 if not self._fault_logged:
                     self._fault_logged = True
                     log_fault(logger, "processing the device input of one frame failed; input continues", error)
-            # This wait limits the frame rate, however many samples arrive.
+            # The wait limits the rate at which the tip moves, however many samples arrive.
             self._ended.wait(max(0.0, FRAME_S - (time.monotonic() - began_s)))
 
 

@@ -120,7 +120,7 @@ class Hub:
         self._watched_case = 0
         self._switching: set[asyncio.Task[None]] = set()
         self._following_classroom: asyncio.Task[None] | None = None
-        """Task that reads the learners at intervals; None while they are not shared."""
+        """Task that reads the learners of the training at intervals; None while observers do not receive them."""
         self._unsubscribe: Callable[[], None] = lambda: None
 
     # ------------------------------------------------------------ start, stop, and connection of windows

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 MAX_LISTED_SERIES = 2000
 MAX_PREVIEWS = 24
-"""Largest number of series of a study with a preview, for each of which one image is retrieved."""
+"""Maximum number of series of a study with a preview, for each of which one image is retrieved."""
 SENDING = "sending the plan to the PACS"
 """Title of the job that sends a plan; the page disables its button while a job with this title runs."""
 _NAME = "carina-pacs"
@@ -191,7 +191,7 @@ class PacsRequests:
         delete_retrieved(retrieved_folder(), self._refuse_while_used)
 
     def _refuse_while_used(self) -> None:
-        """Raise UsageError while the open case, an opening or a retrieval may use a retrieved series."""
+        """Raise UsageError while the open case, a case being opened, or a retrieval may use a retrieved series."""
         if self._session.snapshot().case is not None:
             raise UsageError("close the case first, because it may use a retrieved series", code="pacs.in-use")
         if any(job.kind == "open" or job.kind.startswith("pacs-get-") for job in self._session.jobs.running):
@@ -328,7 +328,7 @@ FOR_WINDOW = (
     ("enter them again with `carina pacs add`", "enter them again under Edit"),
     ("add it with `carina pacs add`", "add it"),
 )
-"""Actions on the command line, and the same actions in the window."""
+"""Texts of actions on the command line, and of the same actions in the window."""
 
 
 def text_for_window(words: str) -> str:
@@ -339,7 +339,7 @@ def text_for_window(words: str) -> str:
 
 
 def _kind(task: wire.PacsTask, window: int) -> str:
-    """Return the kind of a window's job; a new job stops only a job of the same window."""
+    """Return the kind of a window's PACS job; a new job stops only a job of the same kind."""
     return f"pacs-{task}-{window}"
 
 

@@ -1,4 +1,4 @@
-"""Pictures of the series in the folder or archive of the open CT, made by a job for the window that shows the list."""
+"""Thumbnails of the series in the open CT's folder or archive, rendered for the window that lists the series."""
 
 from __future__ import annotations
 

@@ -29,7 +29,7 @@ class Terminal(Protocol):
         """Whether a user is at the terminal who can answer the question."""
 
     def say(self, text: str) -> None:
-        """Print a line for the user."""
+        """Print a line on the terminal."""
 
     def ask(self, prompt: str) -> str | None:
         """Print a prompt, and return the line that the user types; None at the end of the input."""

@@ -45,7 +45,7 @@ from carina.session.state.snapshot import (
 from carina.session.store.local_settings import LocalStore
 
 MAX_SHOWN_CHARS = 4000
-"""Largest shown length of a name or a description, which another program may have written."""
+"""Maximum shown length of a name or a description, which another program may have written."""
 
 
 def flight_list(case: OpenCase, saving: SavingInfo) -> tuple[FlightInfo, ...]:
@@ -144,7 +144,7 @@ class SessionCore:
         self.after_breathing: list[Callable[[OpenCase], None]] = []
         """Functions called with the session locked after a change of the simulated breathing."""
         self.after_sight: list[Callable[[OpenCase], None]] = []
-        """Functions called with the session locked after a change of the sight."""
+        """Functions that are called, with the session locked, after a window's display settings have changed."""
         self._pose_id = 0
         self._pose_s = clock()
         self._steered_s = 0.0
@@ -367,7 +367,7 @@ class SessionCore:
         case.content.follow(document)
 
     def moved(self) -> None:
-        """Count a new pose, and record a program as the cause of the last move."""
+        """Count a new pose, and record that a program moved the tip last."""
         self._pose_id += 1
         self._pose_s = self.clock()
         if self.case is not None:
@@ -377,7 +377,7 @@ class SessionCore:
     # ------------------------------------------------------------ moving the tip
 
     def fly(self, move: Move) -> None:
-        """Apply a move to the tip, and record a hand as the cause of the move.
+        """Apply a move to the tip, and record that the user's hand moved the tip last.
 
         While the tip is held, only moves that change the mode of movement are applied, since they end the attempt.
         """

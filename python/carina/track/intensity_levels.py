@@ -1,4 +1,4 @@
-"""Values of air, lumen and wall: from the HU scale, or from the histogram of a volume without HU."""
+"""Voxel values of air, lumen and wall: from the HU scale, or from the histogram of a volume without HU."""
 
 from __future__ import annotations
 

@@ -20,13 +20,13 @@ from carina.training.task import Task
 MOVE_STEP_MM = 0.5
 """Distance in mm between the points of a movement at which the wall is checked."""
 MOVES_AT_ONCE = 4096
-"""Number of movements that are checked together, which limits the memory."""
+"""Number of movements of the tip that are checked together, which limits the memory."""
 
 
 @one_line
 @dataclass(frozen=True, slots=True)
 class AttemptDoubt:
-    """Reason why an attempt does not count in a verdict."""
+    """Reason why an attempt does not count towards mastery."""
 
     code: Literal[
         "incomplete", "paused", "left-airways", "start", "jump", "instrument", "wide-picture", "uncertain-names"

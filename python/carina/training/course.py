@@ -48,9 +48,9 @@ MAX_NAME = 40
 MAX_BYTES = 256 << 20
 MAX_LEARNERS = 1000
 SAMPLED_OF = 4
-"""One of so many poses, chosen by its digest, is stored as a digest, by which a replay is recognised."""
+"""Sampling ratio: one pose in so many, selected by its digest, is stored as a digest to recognise replays."""
 MAX_VALUE = 1e12
-"""Greatest magnitude of a number of an attempt; greater or infinite numbers come from a damaged file."""
+"""Maximum magnitude of a number of an attempt; greater or infinite numbers come from a damaged file."""
 OWN_ATTEMPTS = "over all attempts of this learner, in their order"
 _VALUES = (
     "diagnostic_completeness", "num_case_segments", "structured_progress", "procedure_time_s",
@@ -78,9 +78,9 @@ class CourseAttempt:
     reasons: tuple[str, ...]
     """Reasons why the attempt does not count in a verdict, without the comparison with earlier attempts."""
     digest: str
-    """Digest of all poses."""
+    """Digest of all recorded poses of the attempt."""
     poses: frozenset[str] = field(repr=False)
-    """Digests of a sample of the poses."""
+    """Digests of a sample of the poses, by which a replay is recognised."""
     statements: tuple[dict[str, Any], ...] = field(repr=False)
     """xAPI statements of the attempt."""
 
@@ -154,7 +154,7 @@ class CourseAttempt:
 
 
 def _are(values: Sequence[Any], kinds: type | tuple[type, ...]) -> bool:
-    """Return whether all values have one of these types; a truth value is not a number."""
+    """Return whether all values have one of the given types; a Boolean does not count as a number."""
     wants_bool = kinds is bool
     return all(isinstance(one, kinds) and isinstance(one, bool) == wants_bool for one in values)
 
@@ -236,7 +236,7 @@ class Learner:
 
 
 def _cell(text: str) -> str:
-    """Return a text that no spreadsheet program takes for a formula."""
+    """Return a cell's text, changed so that no spreadsheet program executes it as a formula."""
     return f"'{text}" if text[:1] in {"=", "+", "-", "@"} else text
 
 

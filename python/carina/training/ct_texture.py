@@ -24,9 +24,9 @@ LUNG_HU, TISSUE_HU = (-1000.0, -650.0), (-120.0, 160.0)
 SIDE_MM = 2.4
 """Distance in mm on both sides of an edge in which the CT must be homogeneous for the edge to be measured."""
 SIDE_SPREAD_HU = 90.0
-"""Largest standard deviation in HU of one side of an edge, above that of the noise."""
+"""Maximum standard deviation in HU of one side of an edge, above that of the noise."""
 MAX_SLOPE_ACROSS, MAX_TILT_MM, MAX_TILT_VOXELS = 0.3, 0.2, 0.3
-"""Largest slope across the axis of an edge, as a share of the slope along the axis, and largest shift of the edge
+"""Maximum slope across the axis of an edge, as a share of the slope along the axis, and maximum shift of the edge
 between neighbouring voxels across the axis: in mm, or in voxels along the axis if that is more.
 
 The blur across thick slices widens the profile of an oblique edge in the slice. The shift is compared with the voxel,
@@ -40,7 +40,7 @@ SIGMAS_MM = np.arange(0.15, 2.01, 0.025)
 GAINS = (0.0, 0.25, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0)
 """Weights of the difference of Gaussians in slices, which makes the overshoot of a sharp kernel."""
 CLEARLY_BETTER = 0.7
-"""Largest ratio of the squared errors of two fits with which a larger gain is chosen."""
+"""Maximum ratio of the squared errors of two fits with which a larger gain is chosen."""
 SURROUND_MM = 0.65
 """Standard deviation in mm of the second Gaussian of the overshoot, added in quadrature."""
 FLAT_HU = (-30.0, 140.0)
@@ -48,16 +48,16 @@ FLAT_HU = (-30.0, 140.0)
 SOFTEN_MM = 0.9
 """Standard deviation in mm of the smoothing before soft tissue is selected."""
 MARGIN_MM, NEAR_LUNG_MM = 2.5, 18.0
-"""Least distance in mm of soft tissue from other tissue, and largest distance from lung.
+"""Minimum distance in mm of soft tissue from other tissue, and maximum distance from lung.
 
 The noise of shoulders and spine differs from that at the lung.
 """
 TREND_MM = 9.0
 """Standard deviation in mm of the local mean that is subtracted from soft tissue: anatomy, not noise."""
 LAG_MM = 6.0
-"""Largest distance in mm of two voxels whose covariance is measured; beyond one half of it the covariance fades."""
+"""Maximum distance in mm of voxel pairs whose covariance is measured; from half of it on, the covariance fades to 0."""
 MOST_SPREAD = 4.0
-"""Largest deviation from the local mean, in standard deviations; calcifications and strands of fat are left out."""
+"""Maximum deviation from the local mean, in standard deviations; calcifications and strands of fat are left out."""
 LEAST_VOXELS = 1500
 SLAB = 48
 """Number of slices that are transformed together."""

@@ -17,7 +17,7 @@ from carina.training.handling import CentrelineIndex
 from carina.training.score import Score
 
 ALIGN_MM = 2.0
-"""Largest distance in mm along a branch between two positions of the tip that are at the same place."""
+"""Maximum distance in mm along a branch between the tips of two flights that count as at one place."""
 PATH_STEP_MM = 0.5
 """Distance in mm between the points of the expert's path from which the deviation is measured."""
 MAX_PATH_POINTS = 40_000
@@ -28,7 +28,7 @@ VARIANCE_FRAMES = 11
 @one_line
 @dataclass(frozen=True, slots=True)
 class BranchStay:
-    """Time that each of both flights spends in a branch."""
+    """Times that the learner's and the expert's flight spend in a branch."""
 
     name: str
     own_s: float
@@ -50,9 +50,9 @@ class FlightComparison:
     deviation_mm: float | None
     """Mean distance in mm of the tip from the expert's tip at the same position in the airways; None without one."""
     deviation_variance_mm2: float | None
-    """Mean variance of the distance between both tips within one second, mm²."""
+    """Mean variance of the distance between the tips of the two flights within one second, mm²."""
     worst_mm: float | None
-    """Largest distance between both tips, mm."""
+    """Largest distance between the tips of the two flights, mm."""
     worst_branch: str | None
     worst_s: float | None
     """Time in s of the largest distance between both tips, from the start of the flight."""

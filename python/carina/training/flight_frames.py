@@ -20,10 +20,10 @@ from carina.scopes import DEFAULT_SCOPE, Pose, ScopePreset, WallField, scope_pre
 FRAME_HZ = 10.0
 """Rate in Hz of the frames on which all scores are computed."""
 MAX_FLIGHT_S = 7200.0
-"""Duration in s of a flight above which it is not scored."""
+"""Maximum duration in s of a flight that is scored."""
 
 REPEATED_SHARE = 0.5
-"""Share of poses that equal those of an earlier flight above which a flight is a replay of the earlier one."""
+"""Share of poses equal to those of an earlier flight, above which a flight is a replay of it."""
 
 Poses = NDArray[np.float64]
 
@@ -49,7 +49,7 @@ class FlightOptics:
 
     @property
     def is_wider(self) -> bool:
-        """Whether the recorded picture is wider than that of the instrument."""
+        """Whether the recorded picture has a wider field of view than the instrument."""
         return self.fov_deg > self.scope.usual_fov_deg + 0.5
 
 
@@ -66,7 +66,7 @@ class FlightFrames:
     """(n,) index into ``optics`` of each frame."""
     optics: tuple[FlightOptics, ...]
     complete: bool
-    """False if the recording was cut off, or if the attempt at a task ended for another reason than its own end."""
+    """Whether the recording has its end, and the attempt at a task ended regularly."""
     recorded_poses: Poses = field(repr=False)
     """(m, 4, 4) all recorded poses, mm."""
     recorded_times_s: NDArray[np.float64] = field(repr=False)
@@ -182,7 +182,7 @@ def flight_frames(recording: Recording) -> FlightFrames:
 
 
 def latest_before(known_s: NDArray[np.float64], times_s: NDArray[np.float64]) -> NDArray[np.int64]:
-    """Return for each time the index of the latest known time that is not later, or 0."""
+    """Return for each time the index of the latest known time that is not after it, or 0."""
     return np.maximum(np.searchsorted(known_s, times_s + 1e-9, side="right") - 1, 0)
 
 

@@ -22,9 +22,9 @@ TOUCH_MM = 0.1
 CONTACT_GAP_S = 0.5
 """Time in s without touch after which the next touch is a new contact."""
 AHEAD_MM = 10.0
-"""Distance in mm ahead along the airway of the point that is in the middle if the lumen is in the middle."""
+"""Distance in mm, ahead of the tip along the airway, of the point that should be in the middle of the picture."""
 MIDDLE_SHARE = 0.25
-"""Largest angle between the line of sight and the point `AHEAD_MM` ahead, as a share of the field of view.
+"""Maximum angle between the line of sight and the point `AHEAD_MM` ahead, as a share of the field of view.
 
 The share is half the radius of the picture.
 """

@@ -35,17 +35,17 @@ SURROUNDINGS_MM, WIDER_MM = 60.0, 130.0
 A thick-slice CT has few edges across its slices.
 """
 CELL_MM = 0.3
-"""Largest size in mm of the cells from which the share of the nodule in a voxel is computed."""
+"""Maximum size in mm of the cells from which the share of the nodule in a voxel is computed."""
 SOFT_HU = -500.0
 """Density in HU above which smoothed voxels are no lung."""
 THICK_MM = 3.5
 """Radius in mm of the largest ball in soft tissue from which the tissue is chest wall or mediastinum, no vessel."""
 WALL_MARGIN_MM, AIRWAY_WALL_MM = 1.0, 1.2
-"""Least distance in mm of a nodule from chest wall and mediastinum, and from the lumen of an airway."""
+"""Minimum distance in mm of a nodule from chest wall and mediastinum, and from the lumen of an airway."""
 VESSEL_MM3 = 4.0
 """Volume in mm3 of soft tissue inside the nodule from which the nodule overlaps a vessel."""
 BARE_AIR_HU = -970.0
-"""Median density in HU below which a position is in air without lung tissue, so that no nodule is inserted."""
+"""Median density in HU below which a place contains air without lung tissue, so that it gets no nodule."""
 MAX_TRIES = 4000
 TRIAL_POINTS, TRIAL_SOFT_SHARE = 400, 0.2
 """Number of points in a nodule at which a random position is tried first, and largest share of soft tissue there."""

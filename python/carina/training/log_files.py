@@ -30,7 +30,7 @@ PLACE = "urn:carina:training"
 LEARNERS = "https://carina.invalid/learners"
 """Home page of the pseudonymous accounts; the domain ``invalid`` never exists, so nothing is ever sent there."""
 STATEMENTS_OF = {"visit", "revisit", "landmark", "entered", "held", "station", "reached"}
-"""Kinds of events that have a statement."""
+"""Kinds of events for which an xAPI statement is exported."""
 
 
 def _csv(head: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
@@ -65,7 +65,7 @@ def score_values(score: Score) -> dict[str, Any]:
 
 
 def _validity(score: Score) -> dict[str, Any]:
-    """Return whether an attempt counts in a verdict, and the codes of its doubts."""
+    """Return whether an attempt counts towards mastery, and the codes of its doubts."""
     return {"counts_in_verdict": not score.doubts, "doubts": [one.code for one in score.doubts]}
 
 

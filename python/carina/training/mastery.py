@@ -1,4 +1,4 @@
-"""Mastery over several attempts, and the published reference values."""
+"""Mastery of a task, judged over several attempts, and published reference values."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ REFERENCE_GROUPS = (
     ReferenceGroup("experienced (10)", 16, 8, 190, 13),
     ReferenceGroup("autonomous robot", 18, 18, 124, 7),
 )
-"""Values of groups in a study on a phantom; marks for comparison, not pass marks."""
+"""Published values of groups in a study with an airway phantom, for comparison; they are not pass marks."""
 
 
 @one_line
@@ -65,20 +65,20 @@ class Mastery:
     passed: tuple[bool, ...]
     """Whether each attempt fulfilled the definition of a mastery procedure and counts."""
     counted: tuple[bool, ...]
-    """Whether each attempt counts in the verdict on mastery."""
+    """Whether each attempt counts towards mastery."""
     reasons: tuple[tuple[str, ...], ...]
     """Reasons why each attempt does not count."""
     basis: str = "over the recordings that you gave, in your order"
-    """Attempts of the verdict, as text."""
+    """Text that names the attempts on which the judgement is based."""
 
     @property
     def num_counted(self) -> int:
-        """Number of attempts that count in the verdict on mastery."""
+        """Number of attempts that count towards mastery."""
         return sum(self.counted)
 
     @property
     def two_in_a_row(self) -> bool:
-        """Whether two attempts in a row passed; an attempt that does not count breaks the row."""
+        """Whether two successive attempts passed; an attempt that does not count interrupts the sequence."""
         starts = range(len(self.passed) - MASTERY_IN_A_ROW + 1)
         return any(all(self.passed[n : n + MASTERY_IN_A_ROW]) for n in starts)
 

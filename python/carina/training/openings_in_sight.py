@@ -25,17 +25,17 @@ PICTURE_PX = 64
 MIN_PICTURE_SHARE = 0.01
 """Share of the picture's pixels below which an unoccluded opening does not count as in sight."""
 MIN_CLEAR_SHARE = 0.5
-"""Least share of an opening's area that is in the picture and that the wall does not hide."""
+"""Minimum share of an opening's area, in the picture and not hidden by the wall, of an opening in sight."""
 DISK_POINTS = 200
-"""Number of points, spread evenly over an opening, by which this share is counted."""
+"""Number of points, spread evenly over an opening, from which its visible share is counted."""
 MAX_RED_OUT = 0.5
-"""Red-out from which nothing is in sight; see `red_out`."""
+"""Maximum red-out (share of the picture that touches the wall) at which openings count as in sight; see `red_out`."""
 LINE_STEP_MM = 0.5
 """Distance in mm between the points of a line of sight at which the lumen is checked."""
 BEFORE_OPENING_MM = 1.0
 """Length in mm of the end of a line of sight that is not checked, because the edge of an opening is in the wall."""
 SHORT_MM = 0.5
-"""Distance in mm between a fork and an opening below which the direction of the opening is that of the whole branch."""
+"""Distance in mm between fork and opening below which the whole branch gives the direction of the opening."""
 SMALL_SINE = math.sin(math.radians(3.0))
 """Ratio of radius and distance of an opening below which it covers far less than :data:`MIN_PICTURE_SHARE`."""
 
@@ -45,14 +45,14 @@ Points = NDArray[np.float64]
 @one_line
 @dataclass(frozen=True, slots=True, eq=False)
 class BranchOpening:
-    """Opening of a branch: a disk across the branch at its beginning."""
+    """Opening of a branch: a disk at the start of the branch, perpendicular to it."""
 
     branch_id: int
     name: str
     middle_lps: Points = field(repr=False)
     """(3,) middle of the disk, LPS mm: where the centreline has left all other branches (`ForkWalls`)."""
     dir_lps: Points = field(repr=False)
-    """(3,) unit vector from the fork to the middle."""
+    """Unit vector (3,) from the fork to the middle of the opening, LPS."""
     radius_mm: float
     """Radius in mm of the found lumen there (`Branch.radius`), or of the largest ball that fits, if that is larger."""
 

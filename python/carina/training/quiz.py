@@ -28,19 +28,19 @@ NUM_CHOICES = 4
 BACK_MM = (10.0, 8.0, 12.0, 6.0, 15.0, 4.0)
 """Distances in mm before a fork at which the tip may look at an opening, the preferred ones first."""
 LEAST_HOURS = 2.0
-"""Least difference in clock hours between the openings of a fork from which a question is made."""
+"""Minimum difference in clock hours between the openings of a fork from which a question is made."""
 MAX_GENERATION = 5
-"""Generation of a branch above which no question is about its fork."""
+"""Maximum generation of a branch whose fork is the subject of a question."""
 LEAST_INTO_MM = 8.0
-"""Least length in mm of a branch in which three slices can show a place beyond the fork."""
+"""Minimum length in mm of a branch for a question that shows three slices beyond the fork."""
 INTO_BRANCH = 0.4
-"""Share of its length at which the tip is placed in the branch that a question shows."""
+"""Position of the tip in the branch that a question shows, as a share of the branch's length."""
 
 
 @one_line
 @dataclass(frozen=True, slots=True, eq=False)
 class QuizQuestion:
-    """Question of a quiz: a pose of the tip, the right name, and the names to choose from."""
+    """Quiz question about a bronchus: the pose from which it is seen, its name, and the names to choose from."""
 
     pose: Pose
     """Pose of the tip: it looks at the opening, or along the branch in which it is."""
@@ -175,7 +175,7 @@ def turned_choice(choice: str) -> str:
 
 
 def _is_certain(branch: Branch) -> bool:
-    """Return whether a name is certain; a name without a confidence was given by a person."""
+    """Return whether a name may be used in a quiz: given by a person, or with a high confidence."""
     return branch.name_confidence is None or branch.name_confidence >= SURE_NAME
 
 

@@ -18,9 +18,9 @@ MAX_SHOWN = 400
 WRITE_AGAIN_S = 1.0
 """Interval in s at which the file of a running task is written again, with a greater counter."""
 STALE_S = 15.0
-"""Time in s without a change after which a file was left by a program that ended without deleting it."""
+"""Age in s from which a file counts as left by a program that ended without deleting it."""
 CLOSING_S = 1.0
-"""Largest time in s that :meth:`RunningTasks.close` waits for the disk."""
+"""Maximum time in s that :meth:`RunningTasks.close` waits for the disk."""
 
 
 class RunningTasks:
@@ -44,7 +44,7 @@ class RunningTasks:
         self._seen: dict[str, tuple[str, float | None]] = {}
         """Newest content of each file, and the time of its latest change; None before a change was seen."""
         self._read_s = float("-inf")
-        """Time of the latest reading."""
+        """Instant at which the files were read last, s."""
         self._changed = threading.Condition()
         self._texts: dict[str, str] = {}
         """Text of each running task of this process, by the learner's key."""

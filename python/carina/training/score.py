@@ -19,7 +19,6 @@ from carina.scopes import WallField
 from carina.track import Airways, AirwayTree, wall_field
 from carina.track.names.name_texts import MIRRORED
 from carina.training.attempt_checks import AttemptDoubt, attempt_doubts
-from carina.training.entries import entries_of, openings_entered, openings_passed
 from carina.training.events import FlightEvent
 from carina.training.flight_frames import FRAME_HZ, FlightFrames, flight_frames
 from carina.training.handling import (
@@ -34,6 +33,7 @@ from carina.training.handling import (
     wall_contacts,
 )
 from carina.training.openings_in_sight import OpeningSights, branch_openings, clear_views, openings_in_sight
+from carina.training.segment_entries import entries_of, openings_entered, openings_passed
 from carina.training.segments import (
     LANDMARKS,
     SEGMENTS,
@@ -85,7 +85,7 @@ class Score:
     mean_intersegmental_time_s: float | None
     """MIT: procedure time divided by the number of segments seen, s; None if no segment was seen."""
     segments_revisited: int
-    """SR: number of times that the tip entered a segment that it had entered and left before."""
+    """Number of entries into a segment that the tip had entered and left before."""
     segments_seen: tuple[str, ...]
     """Seen segments, in the order in which they were seen."""
     path_length_mm: float
@@ -398,7 +398,7 @@ class FlightScorer:
     def _sights(
         self, frames: FlightFrames, first: int, last: int, report: Callable[[str, float | None], None] | None
     ) -> OpeningSights:
-        """Return the openings in sight from ``first`` to ``last``; frames of the call before are not computed again."""
+        """Return the openings in sight in frames ``first`` to ``last``; frames of earlier calls are cached."""
         known = self._known
         begin = first if known is None else max(first, len(known.in_sight))
         found = openings_in_sight(
@@ -430,9 +430,9 @@ class _Openings:
         self.segments = [[index_of(one) for one in segment.branch_ids] for segment in segments]
         """Indices of the openings of each segment."""
         self.num_of_segments = len(ids)
-        """Number of openings of segments, which are the first ones."""
+        """Number of segment openings; they are the first ones in the list."""
         self.task_openings: list[tuple[str, list[int]]] = []
-        """Name and indices of the openings of each landmark, or of the structure to hold."""
+        """Names and opening indices of the landmarks, or of the structure to keep in the middle."""
         wanted = LANDMARKS if task.kind == "inspect" and task.order == "landmarks" else ()
         if task.structure is not None:
             wanted = ((task.structure, (task.structure,)),)
@@ -445,7 +445,7 @@ class _Openings:
 def clock_start(
     tree: AirwayTree, frames: FlightFrames, places: TipPlaces, wall_mm: NDArray[np.float64], clock: Clock
 ) -> int:
-    """Return the frame at which the clock starts.
+    """Return the index of the frame at which the clock starts.
 
     ``cords``: the first frame with the tip in the airways. ``carina``: the first frame with the tip in the airways and
     less than the trachea's diameter above its end, or beyond it.

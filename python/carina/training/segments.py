@@ -30,7 +30,7 @@ LANDMARKS: tuple[tuple[str, tuple[str, ...]], ...] = (
 The first three were read in the source (s); the fourth is common knowledge (k).
 """
 SURE_NAME = 0.8
-"""Least confidence of a branch's name with which an attempt can count in a verdict."""
+"""Minimum confidence of a branch's name with which an attempt can count in a verdict."""
 _PARTS = {"LB1+2": ("LB1", "LB2"), "RB1+2": ("RB1", "RB2")}
 _LETTERS = re.compile(r"(?<=\d)(?:[a-e](?:iv|i{1,3}|v)?)$")
 
@@ -102,7 +102,7 @@ def segments_of_case(tree: AirwayTree) -> tuple[CaseSegment, ...]:
 
 
 def needed_branches(tree: AirwayTree, names: Sequence[str], *, task: str) -> tuple[Branch, ...]:
-    """Return the branches of all names.
+    """Return the branches that have any of the given names.
 
     Raises
     ------

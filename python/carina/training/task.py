@@ -51,7 +51,7 @@ class Task:
     ``stations``.
     """
     order: TaskOrder = "ascending"
-    """Taught order of the kind ``inspect``."""
+    """Order of inspection that the task teaches, for the kind ``inspect``."""
     segments: tuple[str, ...] = ()
     """Segments of the kinds ``find`` (one) and ``sequence`` (two or more, in this order)."""
     branches: tuple[str, ...] = ()

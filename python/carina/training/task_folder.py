@@ -15,7 +15,7 @@ from carina.training.task_file import find_task, task_from_file, task_names
 SUFFIX = ".json"
 MAX_TASKS = 200
 MAX_PROBLEM = 1000
-"""Largest shown length of the message about a file."""
+"""Maximum displayed length, in characters, of the message about a file."""
 
 
 @one_line

@@ -11,27 +11,27 @@ import numpy as np
 from carina.display import one_line
 from carina.track import AirwayTree
 from carina.track.names.name_texts import bare_name
-from carina.training.entries import ENTERED_S
 from carina.training.events import FlightEvent
 from carina.training.flight_frames import FRAME_HZ, FlightFrames
 from carina.training.handling import TipPlaces, WallContact
 from carina.training.openings_in_sight import OpeningSights
+from carina.training.segment_entries import ENTERED_S
 from carina.training.segments import CaseSegment, label_of
 from carina.training.task import Task, landmarks_of, names_on_way
 from carina.training.visits import MIDDLE, SEEN_S, Visit, first_run, frames_of, run_ends
 
 STATION_MM = 10.0
-"""Largest distance in mm of the tip from the landmark of a station that is located."""
+"""Maximum distance in mm of the tip from the landmark of a station that is located."""
 STATION_DEG = 45.0
-"""Largest angle in degrees between the tip's upward direction and the direction of the station."""
+"""Maximum angle in degrees between the tip's upward direction and the direction of the station."""
 STATION_S = 1.0
-"""Time in s for which both hold without a break when the station is located."""
+"""Time in s for which the tip must be near a landmark and see it without interruption for its station to be located."""
 REACH_MM = 5.0
-"""Largest distance in mm of the tip from its planned position at which the target counts as reached."""
+"""Maximum distance in mm of the tip from its planned position at which the target counts as reached."""
 REACH_DEG = 30.0
-"""Largest angle in degrees between the tip's direction and the line from the tip to the aim in the target."""
+"""Maximum angle in degrees between the tip's direction and the line from the tip to the aim in the target."""
 REACH_S = 1.0
-"""Time in s for which both hold without a break when the target is reached."""
+"""Time in s for which the tip must be at its position and point at the target for the target to count as reached."""
 TARGET = "planned target"
 
 
@@ -168,7 +168,7 @@ def _frames_in_sight(sights: OpeningSights, openings: Sequence[int]) -> list[int
 
 
 def _sequence(task: Task, visits: Sequence[Visit], segments: Sequence[CaseSegment]) -> TaskResult:
-    """Return the result of a search for one segment, or of a sequence: the segments visited in their order."""
+    """Return the segments that were visited in the order of the task, and the frame of the last one."""
     events: list[FlightEvent] = []
     done: list[str] = []
     wrong = 0

@@ -18,11 +18,11 @@ from carina.training.openings_in_sight import OpeningSights
 from carina.training.task import RevisitRule
 
 SEEN_S = 0.5
-"""Time in s for which an opening is in sight without a break when it is seen."""
+"""Time in s for which an opening must be in sight without interruption to count as seen."""
 VISIT_S = 1.0
-"""Time in s for which an opening is held in the middle of the picture without a break when it is visited."""
+"""Time in s for which an opening must stay in the middle of the picture without interruption to count as visited."""
 MIDDLE = 0.5
-"""Largest distance from the middle of the picture, in radii of the picture, at which an opening is in the middle."""
+"""Maximum distance from the middle of the picture, in radii of the picture, at which an opening is in the middle."""
 
 
 @one_line
@@ -74,7 +74,7 @@ def places_seen(
     places
         Indices of the openings of each place; nearly always one.
     entered
-        Frame for each opening at which it is seen from inside (`carina.training.entries.openings_entered`), or None.
+        Frame at which each opening is seen from inside (`carina.training.segment_entries.openings_entered`), or None.
     """
     found: list[int | None] = []
     for openings in places:
@@ -108,7 +108,7 @@ def visits_of(sights: OpeningSights, places: Sequence[Sequence[int]], entries: S
     places
         Indices of the openings of each place.
     entries
-        Entries of the tip into places (`carina.training.entries.entries_of`), which are visits too.
+        Entries of the tip into places (`carina.training.segment_entries.entries_of`), which are visits too.
     """
     held = [Visit(frame, place) for frame, place in run_ends(place_in_middle(sights, places), VISIT_S) if place >= 0]
     visits: list[Visit] = []

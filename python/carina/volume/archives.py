@@ -38,13 +38,13 @@ from carina.volume.read_limits import MAX_FILES
 ArchiveKind = Literal["zip", "tar", "gzip tar", "xz tar", "bzip2 tar", "7z", "rar"]
 
 MAX_UNPACKED_BYTES = 32 << 30
-"""Largest number of bytes that one archive may unpack to, with all archives in it."""
+"""Maximum total number of bytes that one archive, with the archives in it, may unpack to."""
 MAX_RATIO = 200
-"""Largest ratio of unpacked to packed bytes; CT slices have 2 to 10, also with much air."""
+"""Maximum ratio of unpacked to packed bytes; CT slices have 2 to 10, also with much air."""
 FREE_OF_RATIO_BYTES = 256 << 20
 """Number of unpacked bytes up to which an archive may have any compression ratio."""
 MAX_DEPTH = 3
-"""Number of archives inside each other above which an archive is refused."""
+"""Maximum number of archives inside each other."""
 _MIN_FREE_BYTES = 512 << 20
 _MAX_DIRECTORY_BYTES = 128 << 20
 _CHUNK = 1 << 20
@@ -53,7 +53,7 @@ _ZIP, _EMPTY_ZIP, _SEVEN_ZIP, _RAR = b"PK\x03\x04", b"PK\x05\x06", b"7z\xbc\xaf\
 _PACKED = {b"\x1f\x8b": "gzip tar", b"\xfd7zXZ\x00": "xz tar", b"BZh": "bzip2 tar"}
 _SUFFIXES = (".zip", ".tar", ".tgz", ".tar.gz", ".txz", ".tar.xz", ".tbz2", ".tar.bz2", ".7z")
 _NAMED_FILES = (".mhd", ".nhdr", ".hdr", ".img", ".raw", ".zraw", ".raw.gz", ".img.gz", ".hdr.gz")
-"""Suffixes of files that refer to each other by their names, which are therefore not replaced."""
+"""Suffixes of files that refer to each other by name, so that their names are not replaced."""
 _FORMAT_SUFFIXES = (*_NAMED_FILES, ".nii.gz", ".nii", ".nrrd", ".mha", ".dcm", ".ima", ".txt", ".pdf", ".xml", ".jpg")
 _UNPACK = "unpack it and open the folder"
 _FOLDER = "archive-content"
@@ -133,7 +133,7 @@ class UnpackedArchive:
 
 @dataclass(slots=True)
 class _Budget:
-    """Remaining limits of one archive, which all archives in it share."""
+    """Remaining bytes and files that an archive may unpack to, shared by all archives in it."""
 
     archive: Path
     folder: Path
@@ -202,7 +202,7 @@ def unpacked_archive(path: Path, kind: ArchiveKind, watch: Watch) -> Iterator[Un
 
 
 class _Unpacking:
-    """Unpacking of one archive with all archives in it."""
+    """Unpacking of one archive and of all archives in it."""
 
     def __init__(self, content: UnpackedArchive, budget: _Budget) -> None:
         self._content = content
@@ -230,7 +230,7 @@ class _Unpacking:
         except (gzip.BadGzipFile, UnicodeError, ValueError, OverflowError, IndexError, RecursionError) as error:
             raise _damaged(shown, error) from None
         except OSError as error:
-            # A damaged zip directory states positions before the begin of the file (EINVAL).
+            # A damaged zip directory contains negative positions; seeking to them fails with EINVAL.
             if error.errno not in (None, errno.EINVAL) or isinstance(error, CarinaError):
                 raise
             # The decoder of bzip2 reports damaged data by an OSError without a number.
@@ -385,7 +385,7 @@ def _damaged(archive: Path, error: Exception) -> VolumeImportError:
 
 
 def _letters(number: int) -> str:
-    """Return three letters for a number; numbers above 17575 share the last ones."""
+    """Return three letters for a number; all numbers above 17575 have the last three letters."""
     number = min(number, 26**3 - 1)
     return "".join(chr(ord("a") + number // base % 26) for base in (676, 26, 1))
 

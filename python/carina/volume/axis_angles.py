@@ -8,9 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 MAX_SKEW_DEG = 0.2
-"""Largest accepted deviation, in degrees, of the angle between two axes of a grid from 90 degrees."""
+"""Maximum accepted deviation, in degrees, of the angle between two axes of a grid from 90 degrees."""
 MAX_LEAN_MM = 0.1
-"""Largest shift in mm over the shorter of two axes that is accepted at any angle, for stacks of a few slices."""
+"""Maximum shift in mm, over the shorter of two axes, of axes that are not perpendicular; it allows stacks of few
+slices."""
 _ROUNDING = 1e-9  # relative; rounding of 0.2 degrees when computed from a matrix
 
 

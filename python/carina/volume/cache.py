@@ -48,9 +48,9 @@ from carina.volume.voxel_file import DamagedFileError, VoxelName, draft_voxel_fi
 logger = logging.getLogger(__name__)
 
 MAX_BYTES = 20_000_000_000
-"""Largest size of all cached CTs in bytes; a tenth of the free disk is a second limit."""
+"""Maximum size of all cached CTs in bytes; a tenth of the free disk is a second limit."""
 MAX_AGE_S = 90 * 86_400.0
-"""Time in s after its last use when a cached CT is deleted."""
+"""Time in s after its last use from which a cached CT is deleted."""
 _SHARE_OF_FREE = 0.1
 _SOURCE = ".source"
 _SOURCE_NAME = re.compile(r"[0-9a-f]{40}\.source")
@@ -91,7 +91,7 @@ class CachedSize:
 @one_line
 @dataclass(frozen=True, slots=True, eq=False)
 class OpenedCt:
-    """A volume that was opened from the cache or from its files."""
+    """Volume that was opened, with the state whether it came from the cache."""
 
     volume: Volume
     source: CtSource | None
@@ -117,7 +117,7 @@ class CachedCt:
 
     @property
     def state(self) -> State:
-        """State of the files from which the CT was read: unchanged, changed or missing.
+        """Whether the files from which the CT was read are unchanged, changed or missing.
 
         If the state is ``changed``, the caller opens the files and compares digests. The state is ``missing`` if a file
         cannot be accessed.
@@ -486,7 +486,7 @@ class VolumeCache:
 
     @contextlib.contextmanager
     def _sweep_lock(self) -> Iterator[bool]:
-        """Take the lock for sweeping; yield whether no other process sweeps.
+        """Lock the cache for the deletion of old CTs; yield whether the lock was free.
 
         Without support for locks two processes may sweep at once; they delete the same files.
         """
@@ -568,7 +568,7 @@ class VolumeCache:
         return found
 
     def _touch(self, path: Path) -> None:
-        """Set the time of a cached file to now, which records its last use."""
+        """Set the modification time of a cached file to now, which records its last use."""
         now_s = self._clock()
         with contextlib.suppress(OSError):
             os.utime(path, (now_s, now_s))

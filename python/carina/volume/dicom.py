@@ -194,7 +194,7 @@ def find_series(content: FolderContent, watch: Watch) -> list[FoundSeries]:
             thickness_mm=_common_thickness_mm(slices),
             kernel=_common_setting(slices, "ConvolutionKernel"),
             phase=_phase(slices),
-            # A folder of very many series is a damaged copy or no patient's scan; the dates would take long.
+            # A folder of very many series is damaged or is not a scan, and reading all dates would take too long.
             acquired_on=acquisition_date(first.path) if len(groups) <= _MAX_DATES else None,
         )
         missing = lost.files_like(slices)

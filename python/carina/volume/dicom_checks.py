@@ -112,7 +112,7 @@ class Clipping:
         self.count = 0
         """Number of voxels whose value did not fit into int16 and was set to the nearest int16 value."""
         self.lost = 0
-        """Number of these voxels that were not padding."""
+        """Number of clipped voxels that were not padding."""
         self._padding: set[float] = set()
 
     def clip(self, header: SliceHeader, numbers: NDArray[Any]) -> NDArray[Any]:

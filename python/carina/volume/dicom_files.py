@@ -48,9 +48,9 @@ class UnusedFile:
     """Reason why the file was not used, for messages, such as "empty" or "truncated header"."""
     size: int
     is_dicom: bool
-    """Whether the file begins like a DICOM file, or the folder has unknown content."""
+    """Whether the file begins like a DICOM file, or its beginning could not be recognised."""
     known: bool = False
-    """Whether the file begins like a document or an archive."""
+    """Whether the file begins like a document or an archive of a known format."""
     series_uid: str = field(default="", repr=False)
     """UID of the series; empty if it could not be read."""
 

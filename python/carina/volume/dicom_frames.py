@@ -49,7 +49,7 @@ _MACROS: dict[str, dict[str, str]] = {
         "NominalPercentageOfRespiratoryPhase": "NominalPercentageOfRespiratoryPhase",
     },
 }
-"""Functional groups, and the tag of a single slice that has the meaning of each of their tags."""
+"""Tags of a single slice by functional group and by the group's tag with the same meaning."""
 _FRAME_TAGS = tuple(dict.fromkeys(own for macro in _MACROS.values() for own in macro.values()))
 
 
@@ -65,7 +65,7 @@ def described_frames(dataset: Dataset) -> int:
 
 
 def each_frame(dataset: Dataset) -> Iterator[int]:
-    """Give the data set the tags of each frame in turn, and yield the index of the frame.
+    """Give the data set the tags of each frame in turn; yield the index of the frame.
 
     The data set is changed in place, because a copy for each of a thousand frames would take most of the time.
     """
@@ -106,7 +106,7 @@ def _copy(item: Dataset, dataset: Dataset, tags: dict[str, str]) -> None:
 
 
 def _use_real_world_values(groups: Sequence[Dataset], dataset: Dataset) -> None:
-    """Use a real-world value map in HU as the rescale of a frame that has no other one."""
+    """Use a frame's real-world value map in HU as its rescale, if the frame has no other rescale."""
     maps = next((found for group in reversed(groups) if (found := group.get("RealWorldValueMappingSequence"))), ())
     for entry in maps:
         units = entry.get("MeasurementUnitsCodeSequence") or ()

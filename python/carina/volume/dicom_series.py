@@ -36,20 +36,20 @@ from carina.volume.model import Note
 from carina.volume.progress import Watch
 
 _MAX_GRIDS = 50
-"""Largest number of grids in one series; bounds the time for a folder of images that are all different."""
+"""Maximum number of grids in one series; bounds the time for a folder of images that are all different."""
 
 _MAX_PAIRS = 10_000
-"""Largest number of pairs of series with and without a UID that are compared."""
+"""Maximum number of pairs of series (one with a UID, one without) that are compared."""
 
 _FEWEST_FRAMES = 3
-"""Smallest number of frames of reference of a series that stays undivided: two frames are two scans."""
+"""Minimum number of frames of reference of a series that is not divided by them: two are two scans."""
 
 _PATIENT = [index for index, word in enumerate(IDENTITY.values()) if word == "patients"]
 
 
 @dataclass(frozen=True, slots=True)
 class Group:
-    """Images that form one series, in no order."""
+    """Images that form one series, unsorted."""
 
     slices: tuple[SliceHeader, ...]
     notes: tuple[Note, ...] = ()
@@ -136,7 +136,7 @@ def _part_by_identity(group: Group) -> list[Group]:
 
 
 def _part_by_value(group: Group, word: str, parts: dict[str, list[SliceHeader]]) -> list[Group]:
-    """Divide a group by the values of one identity tag, or add a note why it stays undivided."""
+    """Divide a group by the values of one identity tag, or add a note that states why it is not divided."""
     if word == "frames of reference" and _is_frame_per_slice(group.slices, parts):
         note = Note(
             "import.frame-per-slice",
@@ -377,7 +377,7 @@ def _heights(slices: Sequence[SliceHeader]) -> np.ndarray:
 
 
 def _share_heights(parts: Sequence[Sequence[SliceHeader]]) -> bool:
-    """Return whether the height ranges of two parts overlap."""
+    """Return whether the ranges of the slice positions of two parts overlap."""
     spans = sorted((float(h[0]), float(h[-1])) for h in map(_heights, parts))
     # Two slices at one position in two parts count as an overlap of the parts, too.
     return any(later[0] <= earlier[1] + 0.01 for earlier, later in itertools.pairwise(spans))

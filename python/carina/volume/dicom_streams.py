@@ -186,7 +186,7 @@ _DECODER = re.compile(
     rb"scan parameters|progress",
     re.IGNORECASE,
 )
-# Messages about intact streams, because the reader tries several libraries.
+# Messages about intact streams: the reader tries several libraries, and those that cannot decode a stream write them.
 _HARMLESS = re.compile(rb"Unsupported JPEG data precision|\[info\]", re.IGNORECASE)
 
 

@@ -25,7 +25,7 @@ from carina.volume.progress import Watch
 V = TypeVar("V", np.uint8, np.int16)
 
 GEOMETRY_TOLERANCE_MM = 1e-3
-"""Largest difference of a corner of one CT between two files; float32 headers cause about 1e-4 mm."""
+"""Maximum difference of a corner of one CT between two files; float32 headers cause about 1e-4 mm."""
 _SLAB_BYTES = 8 << 20
 
 # Reference directions for the choice of axes, as rows: L, P and S, rotated by about a degree. For a scan tilted by

@@ -14,7 +14,7 @@ _NUMBERS = {
     "UINT8": np.uint8, "INT8": np.int8, "UINT12": np.uint16, "INT12": np.int16,
     "UINT16": np.uint16, "INT16": np.int16, "UINT32": np.uint32, "INT32": np.int32,
 }  # fmt: skip
-"""Type of the decoded numbers by GDCM's name of it."""
+"""NumPy type of decoded numbers, by GDCM's name of the type."""
 
 
 class DecodingError(ValueError):
@@ -64,4 +64,4 @@ def decode(path: Path) -> NDArray[np.int32]:
 
 
 REQUIREMENT = "python-gdcm>=3.0.26"
-"""Requirement of the Python package that contains the decoder."""
+"""Requirement specifier of the Python package that contains the decoder."""

@@ -26,7 +26,7 @@ from carina.volume.model import SPACING_MM
 __all__ = ["GRID_FORMATS", "GridHeader", "read_grid_header", "sniff_format"]
 
 GRID_FORMATS = ("nifti", "nrrd", "metaimage", "vti")
-"""Formats of one volume in a file, as :func:`sniff_format` returns them."""
+"""Names, as :func:`sniff_format` returns them, of the file formats that contain a single volume."""
 
 _GZIP = b"\x1f\x8b"
 _MAX_TEXT_HEADER_BYTES = 1 << 20

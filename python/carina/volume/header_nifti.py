@@ -207,7 +207,8 @@ def _qform(pixdim: tuple[float, ...], quaternion: tuple[float, ...]) -> NDArray[
     if not np.isfinite([b, c, d, *offsets]).all() or squared < -1e-3:
         raise ValueError
     a = np.sqrt(max(0.0, squared))
-    if squared < 1e-7:  # nifti1.h: this is a half turn; rounding may make the vector a little too long.
+    # nifti1.h: a = 0 is a half turn. Rounding may have made (b, c, d) longer than 1, so it is normalised.
+    if squared < 1e-7:
         b, c, d = np.array([b, c, d]) / np.linalg.norm([b, c, d])
         a = 0.0
     rotation = np.array(

@@ -29,7 +29,7 @@ _TAG = re.compile(rb"<(/?)([A-Za-z][\w:.-]*)((?:\s+[\w:.-]+\s*=\s*(?:\"[^\"]*\"|
 _ATTRIBUTE = re.compile(r"([\w:.-]+)\s*=\s*(?:\"([^\"]*)\"|'([^']*)')")
 _MAX_TAGS = 4096
 _MAX_OTHER = 64
-"""Largest number of places that begin like a tag and are none; each is searched once, so the time is limited."""
+"""Maximum number of texts that begin like a tag and are none; each is searched once, which limits the time."""
 _MAX_TAG_BYTES = 1 << 16
 _MAX_HEAD_BYTES = 1 << 20
 _AGAIN = "save it again, for example from ParaView"
@@ -37,7 +37,7 @@ _AGAIN = "save it again, for example from ParaView"
 
 @dataclass(frozen=True, slots=True)
 class VtiData:
-    """Place and coding of the values in the file."""
+    """Position and encoding of the values in a VTI file."""
 
     coding: Literal["ascii", "base64", "raw"]
     begin: int

@@ -27,10 +27,10 @@ HU_TYPES = ("", "HU", "HU_MOD")
 """Values of RescaleType for Hounsfield units, including a missing tag."""
 
 _INT16 = np.iinfo(np.int16)
-# Largest number of samples of the histogram. A share of 0.2 % is then 8,000 samples, and its error is about 1 % of it.
+# Maximum number of samples of the histogram. A share of 0.2 % is then 8,000 samples, and its error is about 1 % of it.
 _MAX_SAMPLES = 4_000_000
 MAX_DOUBTFUL_SHARE = 0.01
-"""Largest share of voxels that were clipped, or are in the body and not finite; above it, the values are not HU."""
+"""Maximum share of voxels that were clipped, or are in the body and not finite; above it, the values are not HU."""
 _TISSUE = -300  # above lung and air, below fat
 _STRETCHED_TOP = 4095  # 12 bits, as CT and MR scanners use
 
@@ -250,7 +250,7 @@ def _share_of_body(values: NDArray[np.generic]) -> float:
 
 
 def _is_enclosed(tissue: NDArray[np.bool_], axis: int) -> NDArray[np.bool_]:
-    """Return where tissue is on both sides along an axis, or in the voxel itself."""
+    """Return where tissue is on both sides along an axis, or where the voxel itself is tissue."""
     lines = tissue if axis == 1 else tissue.T
     first = lines.argmax(axis=1)
     last = lines.shape[1] - 1 - lines[:, ::-1].argmax(axis=1)

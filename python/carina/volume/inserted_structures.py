@@ -17,16 +17,16 @@ INSERTED = "import.inserted"
 INSERTED_TITLE = "Inserted nodule: "
 """Beginning of the title of a CT with inserted structures."""
 INSERTED_BEGINNING = "inserted: "
-"""Beginning of the words of the permanent note."""
+"""Beginning of the text of the permanent note on inserted structures."""
 SECOND_CT_WORDS = (
     f"{INSERTED_BEGINNING}Carina inserted a nodule into the second CT for training, not the patient's: do not use this "
     "movement for a patient"
 )
 """Note of a movement that was measured with a second CT with inserted structures."""
 MAX_INSERTED = 999
-"""Largest number of structures that are read from a file; a larger number in a header or a case counts as this one."""
+"""Maximum number of structures that are read from a file; a larger number in a header or a case counts as this one."""
 PICTURE_TEXT = "INSERTED NODULE: NOT THE PATIENT'S"
-"""Text in saved pictures of such a CT."""
+"""Text in saved pictures of a CT with inserted structures."""
 _TAG = "CARINA-INSERTED"
 _MARK = re.compile(rb"CARINA-INSERTED (\d{1,9}): ([ -~]{0,2000})")
 _NUMBER = r"-?\d{1,5}\.\d"

@@ -19,7 +19,7 @@ from carina.volume.header_fields import GridHeader
 from carina.volume.progress import Watch
 
 MAP_FORMAT = "1"
-"""Version of the format of IsoRegion maps in files."""
+"""Version of the file format of IsoRegion maps (radii of cubes of equal labels)."""
 MAP_TAG = "carina-isoregion"
 MAP_NOTE = re.compile(rb"carina-isoregion (\d{1,9})(?: ([0-9a-f]{12}) ([0-9a-f]{12}) ([0-9a-f]{12}))?")
 """Note of a map: version of the format, and digests of volume, labels and radii."""
@@ -32,7 +32,7 @@ def short_digest(values: NDArray[np.generic]) -> str:
 
 
 def contains_map(header: GridHeader) -> bool:
-    """Return whether the file of this header contains a scan and its IsoRegion map."""
+    """Return whether the file with this header contains a scan and its IsoRegion map."""
     is_packed = header.format == "nrrd" and header.compression == "gzip" and not header.file_is_gzipped
     has_bytes = not header.values_are_elsewhere and header.data_offset == header.num_voxels
     return is_packed and has_bytes and MAP_NOTE.search(header.head) is not None

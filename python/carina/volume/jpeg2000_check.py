@@ -39,7 +39,7 @@ def has_second_decoder() -> bool:
 
 
 def is_checkable(header: SliceHeader) -> bool:
-    """Return whether the second decoder reads the slice."""
+    """Return whether the second JPEG 2000 decoder can read the slice."""
     return header.transfer_syntax in _JPEG_2000 and has_second_decoder()
 
 
@@ -115,7 +115,7 @@ class SecondDecoder:
                 self._futures.append((header, self._pool.submit(_problem, header)))
 
     def drop_waiting(self) -> None:
-        """Drop the checks that have not started."""
+        """Drop the checks that have not started yet."""
         self._pool.shutdown(wait=False, cancel_futures=True)
 
     def __len__(self) -> int:

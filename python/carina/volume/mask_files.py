@@ -36,7 +36,7 @@ _SAME_VOXEL = 0.05
 @one_line
 @dataclass(frozen=True, slots=True, eq=False)
 class Mask:
-    """A structure on the grid of a CT."""
+    """Mask of a structure on the grid of a CT, with notes."""
 
     inside_zyx: NDArray[np.uint8]
     """(nz, ny, nx) uint8 on the grid of the CT, 1 inside the structure, read-only."""
@@ -78,7 +78,7 @@ class MaskGridError(VolumeImportError):
         self.expected = expected
         """Description of the CT's grid, which the mask should have."""
         self.found = found
-        """Description of the grid that the mask has."""
+        """Description of the grid that the mask's file has."""
         self.share_inside = share_inside
         """Share of the structure that is inside the scan, 0 to 1."""
 
@@ -261,7 +261,7 @@ def _fractions(path: Path, found: str) -> VolumeImportError:
 
 
 def _selected_label(path: Path, found: _Labels, label: int | None, voxel_ml: float) -> int:
-    """Return the number of the chosen structure, or of the only one."""
+    """Return the number of the structure that the user selected, or of the only structure."""
     sizes, names = found.num_voxels, found.names
     present = sorted(sizes)
     if not present:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 MAX_MESSAGE_CHARS = 600
-"""Largest length of an error or a note; ``carina info --json`` lists every series completely."""
+"""Maximum length of an error or a note; ``carina info --json`` lists every series completely."""
 MAX_NAME_CHARS = 60
 _HEAD_CHARS = 380  # a message begins with the problem and ends with the remedy
 

@@ -16,9 +16,9 @@ from carina.volume.model import Note
 MAX_MISSING_IN_GAP = 3
 """Number of adjacent missing slices up to which they are interpolated."""
 MAX_GAP_MM = 10.0
-"""Largest distance in mm of the two slices beside a gap that is filled."""
+"""Maximum distance in mm between the two slices at a gap that is filled by interpolation."""
 MAX_MISSING_SHARE = 0.1
-"""Largest share of a volume's slices that may be interpolated."""
+"""Maximum share of a volume's slices that may be interpolated."""
 _MAX_NAMED = 6
 
 

@@ -17,9 +17,9 @@ from carina.errors import GeometryError
 from carina.volume.licence_notice import Citation
 
 MAX_THICKNESS_MM = 20.0
-"""Largest thickness in mm of a chest CT's slices; a larger value of the tag has another unit or is a default."""
+"""Maximum thickness in mm of a chest CT's slices; a larger value of the tag has another unit or is a default."""
 SPACING_MM = (0.01, 100.0)
-"""Smallest and largest voxel spacing of any volume, in mm; values outside come from a lost unit or a false header."""
+"""Minimum and largest voxel spacing of any volume, in mm; values outside come from a lost unit or a false header."""
 LUNG_WINDOW_HU = (1500.0, -600.0)
 SLICE_HEIGHT_PX = 240
 

@@ -27,7 +27,7 @@ from carina.volume.mask_parts import numbered_parts
 from carina.volume.model import Note
 
 AIR_HU = -1024
-"""Least value in HU that replaces padding: the lowest number of 12-bit CTs."""
+"""Minimum value in HU that replaces padding: the lowest number of 12-bit CTs."""
 _HARMLESS_HU = -1000
 _NO_TISSUE_HU = 30_710
 _CORNER_HU = 2000
@@ -50,9 +50,9 @@ class PaddedPixels:
     fill: float
     """Value in HU that replaces the padding of the slice."""
     value: float
-    """The most frequent rescaled value of the padding."""
+    """Most frequent value, after rescaling, of the pixels that are padding."""
     num_kept: int
-    """Number of pixels with a marked value within the image, which stay unchanged."""
+    """Number of pixels inside the image that have a padding value and are not changed."""
     is_marked: bool
     """Whether the file states which value is padding."""
 
@@ -136,7 +136,7 @@ def find_padding(
 
 
 def _untagged_padding(stored: NDArray[np.int32], numbers: NDArray[np.float64] | NDArray[np.int32]) -> NDArray[np.bool_]:
-    """Return the pixels with the value of the corners, if that value cannot be anatomy."""
+    """Return the pixels with the value of the corners, if no anatomy can have this value."""
     corners = stored[[0, 0, -1, -1], [0, -1, 0, -1]]
     heights = numbers[[0, 0, -1, -1], [0, -1, 0, -1]]
     if corners.min() == corners.max() and heights[0] >= _CORNER_HU:

@@ -33,7 +33,7 @@ NOISE_HU = 45.0
 DENSE_LUNG_HU = -775.0
 """Mean of the lungs above which the scan is probably not in inspiration."""
 CONTRAST_HU, CONTRAST_L = (130.0, 600.0), 0.1
-"""Range of enhanced blood, and volume in litres of such a region above which contrast medium is named."""
+"""Range of enhanced blood in HU, and minimum volume in litres of such a region for a finding of contrast medium."""
 PATIENT_MM = (210.0, 390.0)
 """Range for patients of usual size of the diameter of a circle with the area of the chest."""
 _LAG_MM = 4.0
@@ -250,7 +250,7 @@ def _spacing_findings(spacing_mm: tuple[float, float, float], generation: int) -
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CoarseLungs:
-    """Means of blocks of about 4 mm in canonical order of the axes, and the lungs among them."""
+    """Means of blocks of about 4 mm in canonical order of the axes, and a mask of the lungs on them."""
 
     hu: NDArray[np.float32]
     """(nz, ny, nx) mean of each block."""

@@ -3,6 +3,6 @@
 from __future__ import annotations
 
 MAX_FILES = 200_000
-"""Largest number of files in one folder; a folder with more is not that of one scan."""
+"""Maximum number of files in one folder; more files cannot be one scan."""
 MAX_VOXELS = 1 << 31
-"""Largest number of voxels of a volume: 4 GiB as int16, ten times a large chest CT."""
+"""Maximum number of voxels of a volume: 4 GiB as int16, ten times a large chest CT."""

@@ -41,7 +41,7 @@ class ScanPlace:
         return replace(info, refused=self.text(info.refused))
 
     def volume(self, volume: Volume) -> Volume:
-        """Return a volume whose notes and title have the original names of files."""
+        """Return a volume in whose notes and title the original file names replace the neutral ones."""
         if self.archive is None:
             return volume
         source = volume.source

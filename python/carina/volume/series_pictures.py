@@ -20,9 +20,9 @@ if TYPE_CHECKING:
 __all__ = ["MAX_PICTURES", "PICTURE_PX", "series_pictures", "slice_picture", "window_picture"]
 
 PICTURE_PX = 96
-"""Largest width and height of a picture."""
+"""Maximum width and height of a picture."""
 MAX_PICTURES = 40
-"""Largest number of pictures of one folder; further series are listed without a picture."""
+"""Maximum number of pictures of one folder; further series are listed without a picture."""
 _MAX_PIXELS = 4096 * 4096
 _LOW_HU, _WIDTH_HU = -1350.0, 1500.0
 

@@ -86,7 +86,7 @@ class CtSource:
         return self.now() == self.files
 
     def is_settled(self, now_s: float) -> bool:
-        """Return whether a later change of a file is sure to change its time.
+        """Return whether the files are so old that any later change changes their time.
 
         A file that was written less than 2 s ago may change again without a new time.
 

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 MAX_TILT_DEG = 35.0
-"""Largest tilt in degrees that is corrected; gantries tilt by up to 30 degrees."""
+"""Maximum tilt in degrees that is corrected; gantries tilt by up to 30 degrees."""
 _AIR_HU = -1024
 
 

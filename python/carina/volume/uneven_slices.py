@@ -26,11 +26,11 @@ from carina.volume.missing_slices import (
 from carina.volume.model import Note
 
 MIN_SLICES = 5
-"""Smallest number of slices that are resampled: in fewer slices one wrong position cannot be recognised."""
+"""Minimum number of slices that are resampled: in fewer slices one wrong position cannot be recognised."""
 MAX_RATIO = MAX_MISSING_IN_GAP + 1.0
-"""Largest distance of two measured slices, in distances of the even slices."""
+"""Maximum distance of two measured slices, in distances of the even slices."""
 MIN_RATIO = 0.2
-"""Smallest distance of two measured slices, in distances of the even slices; nearer slices are probably two scans."""
+"""Minimum distance of two measured slices, in distances of the even slices; nearer slices are probably two scans."""
 _GAP_RATIO = 1.75
 """Distance, in distances of the even slices, from which slices are missing between two measured slices."""
 _NUM_ALTERNATING = 6
@@ -39,7 +39,7 @@ _SAME_PLACE = 1e-3
 
 @dataclass(frozen=True, slots=True, eq=False)
 class UnevenSlices:
-    """Places of unevenly spaced slices on an even grid."""
+    """Positions of unevenly spaced slices relative to a grid of evenly spaced slices."""
 
     places: NDArray[np.float64]
     """(slices,) place of each measured slice, in slices of the even grid; the first is 0, the last a whole number."""
@@ -83,12 +83,12 @@ class UnevenSlices:
 
     @property
     def even_mm(self) -> float:
-        """Distance of the even slices."""
+        """Distance between neighbouring slices of the even grid, mm."""
         return float(self.gaps_mm.sum() / self.places[-1])
 
     @property
     def levels(self) -> NDArray[np.int64]:
-        """Even slice nearest to each measured slice."""
+        """Index of the even grid's slice that is nearest to each measured slice."""
         return np.rint(self.places).astype(np.int64)
 
     @property
@@ -103,7 +103,7 @@ class UnevenSlices:
         return tuple(found)
 
     def fill(self, values_zyx: NDArray[np.int16], low: int, planes: Mapping[int, NDArray[np.int16]]) -> None:
-        """Fill the even slices from one measured slice up to the next one.
+        """Fill the even grid's slices from one measured slice up to the next.
 
         Parameters
         ----------

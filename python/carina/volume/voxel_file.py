@@ -55,7 +55,7 @@ class VoxelName:
 
     @property
     def file_name(self) -> str:
-        """File name that states this content."""
+        """Name of a file with this content."""
         nz, ny, nx = self.shape_zyx
         return f"{self.digest}-{self.axes}-{nx}x{ny}x{nz}{SUFFIX}"
 
@@ -195,7 +195,7 @@ def read_voxel_file(path: Path, name: VoxelName, watch: Watch) -> NDArray[np.int
 
 
 def _voxels_offset(header_bytes: int) -> int:
-    """Return the offset of the voxels: the first page behind the header."""
+    """Return the offset in bytes of the voxels: the first page after the header."""
     return -(-(_START.size + header_bytes) // _PAGE) * _PAGE
 
 

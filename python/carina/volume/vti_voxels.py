@@ -109,11 +109,11 @@ class _Source:
         return np.frombuffer(self._peek(count * self.word.itemsize), dtype=self.word)
 
     def skip_header(self, num_bytes: int) -> None:
-        """Move behind a header of a number of bytes."""
+        """Skip a header of a given number of bytes."""
         self._at += num_bytes if self._place.coding == "raw" else _base64_length(num_bytes)
 
     def rest(self, num_bytes: int) -> bytes:
-        """Return bytes from the present position.
+        """Return the bytes from the present position to the end.
 
         Raises
         ------

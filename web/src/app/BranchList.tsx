@@ -95,14 +95,14 @@ export function BranchList() {
       </section>
     );
   }
-  /** Choose the route to the end of the bronchus of a row, past its side branches. */
+  /** Choose the route to the far end of the bronchus that a row lists, past its side branches. */
   const chooseRow = (id: number) => {
     const last = lastPiece(tree, id);
     if (last === routeEnd) station.ui({ selected: last });
     else station.chooseBranch(last);
     giveKeysBackAfterClick();
   };
-  /** Row that Enter chooses; null without one. */
+  /** Row that Enter would choose; null if there is no such row. */
   const hit = filtered === null || forTool ? null : bestHit(tree, filtered, search);
   /** Choose the best match of the search, and return the keys to the flight. */
   const chooseHit = () => {

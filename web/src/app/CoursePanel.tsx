@@ -24,7 +24,7 @@ import { useApp, useStation } from "./context";
 import { Act, Tip, useKeysBack } from "./controls";
 import { Icon } from "./icons";
 
-/** Largest length of a pseudonym. */
+/** Maximum length of a pseudonym. */
 const MAX_NAME = 40;
 
 /** Render the choice of the learner whose attempts are stored. */
@@ -55,7 +55,7 @@ export function CoursePanel({ course }: { course: CourseInfo }) {
   );
 }
 
-/** Key of the choice without a learner; a pseudonym has at least one character. */
+/** Key of the choice "no learner"; the key of a learner has at least one character. */
 const NOBODY = "";
 
 function LearnerSelect({ course }: { course: CourseInfo }) {
@@ -246,7 +246,7 @@ function CourseContent({ course }: { course: CourseInfo }) {
   );
 }
 
-/** Size of a curve's box, px. */
+/** Width and height of the box of a learning curve, px. */
 const WIDTH = 200;
 const HEIGHT = 70;
 

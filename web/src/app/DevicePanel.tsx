@@ -20,7 +20,7 @@ const CONTROLS = [
   ["relative", "Relative", "The tip follows the hand's movement"],
   ["path", "Path", "The tip moves forward and back along the path; turning the device turns the view"],
 ] as const;
-/** Smallest number of point pairs for the registration of a tracker to the patient. */
+/** Minimum number of point pairs for the registration of a tracker to the patient. */
 const MIN_PAIRS = 3;
 
 /** Render the panel of input devices. */
@@ -135,7 +135,7 @@ function Movement({ message }: { message: DevicesMessage }) {
   );
 }
 
-/** Render the offset between the pen and the tip in absolute movement; nothing once the tip is at the pen. */
+/** Render the offset between pen (stylus) and tip while the pen positions the tip absolutely; nothing at the pen. */
 function PenOffset() {
   const station = useStation();
   const words = useApp((state) => penOffText(state.pen));
@@ -186,7 +186,7 @@ function HeadsetGroup() {
   );
 }
 
-/** The calibration of one device while the user collects its point pairs. */
+/** Calibration of one device, for which the user has begun to collect point pairs. */
 interface Begun {
   readonly isOpen: boolean;
   readonly pairs: readonly CalibrationPair[];

@@ -51,7 +51,7 @@ export function EditTools() {
   );
 }
 
-/** Render the instruction and the settings of the active tool. */
+/** Render the instruction and the settings of the tool that is active. */
 export function ToolInHand() {
   const station = useStation();
   const armed = useApp((state) => state.ui.armed);

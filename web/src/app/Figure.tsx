@@ -15,7 +15,7 @@ interface FigureProps {
   /** Selected value; null is shown as the text `none`. */
   value: number | null;
   choices: readonly number[];
-  /** Text of the choice null; without it the list has no choice null. */
+  /** Text of the choice "no value" (null); without this text the list has no such choice. */
   none?: string;
   testId?: string;
   onChange: (value: number | null) => void;

@@ -112,7 +112,7 @@ function FlightRow({ flight, first, last, open, onOpen }: RowProps) {
   );
 }
 
-/** Render the position slider of the flight that is replayed; nothing for other flights. */
+/** Render the position slider of the flight that is replayed; nothing for any other flight of the list. */
 function Bar({ flight }: { flight: FlightInfo }) {
   const station = useStation();
   const atS = useApp((state) => (state.flownFlight === flight.number ? state.replaying.atS : null));
@@ -242,7 +242,7 @@ interface WrittenProps {
   onChange: (value: string) => boolean;
 }
 
-/** Render a text field. Its text is sent when the field loses focus or on Enter, and is restored on Escape. */
+/** Render a text field. The text is sent on Enter or loss of focus, and restored on Escape. */
 function Written({ label, testId, maxLength, long = false, value, onChange }: WrittenProps) {
   const [typed, setTyped] = useState<string | null>(null);
   const [before, setBefore] = useState(value);

@@ -7,7 +7,7 @@ import { type Box, cardPlace } from "../state/guide-place";
 import { useApp, useStation } from "./context";
 import { Act, giveKeysBack } from "./controls";
 
-/** Time, ms, between two measurements of the element that the card points at, whose place changes with the layout. */
+/** Interval, ms, between two measurements of the element that the card explains; the layout may move the element. */
 const MEASURE_MS = 400;
 
 /** Render the current hint or stop of the tour; nothing for a user who has read the hints. */
@@ -116,7 +116,7 @@ function Card({ stop, name, takesFocus, onBack, onNext, isLast, onTour, onLeave,
   );
 }
 
-/** Return the box of the element that a stop points at; null while no such element is visible. */
+/** Return the box of the element that a stop of the tour points at; null while no such element is visible. */
 function useAnchor(stop: GuideStop): Box | null {
   const [box, setBox] = useState<Box | null>(null);
   useLayoutEffect(() => {

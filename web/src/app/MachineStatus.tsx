@@ -14,7 +14,7 @@ import { ClusterDetails } from "./ClusterDetails";
 import { useApp, useStation } from "./context";
 import { Act, giveKeysBack, Tip, useKeysBack } from "./controls";
 
-/** Render the dot, the text about a problem, and the details if they are open. */
+/** Render the coloured dot of the machine's state, the text about a problem, and the details if they are open. */
 export function MachineStatus() {
   const [open, setOpen] = useState(false);
   const dot = useRef<HTMLButtonElement>(null);
@@ -59,7 +59,7 @@ interface DetailsProps {
   onClose: () => void;
 }
 
-/** Render the figures. The panel takes no focus, so that the figures can be read while flying. */
+/** Render the machine's figures (rates and times). The panel takes no focus, so that the user can fly meanwhile. */
 function MachineDetails({ onClose }: DetailsProps) {
   const { fps, ageMs } = useApp((state) => state.pace);
   const status = useApp((state) => state.status);

@@ -12,7 +12,7 @@ import { Icon } from "./icons";
 
 /** Display time of a notice, ms: enough to read two lines twice. */
 const NOTICE_MS = 8000;
-/** Number of messages from which one button closes all of them. */
+/** Minimum number of messages for the button that closes all of them. */
 const MANY = 3;
 
 /** Render the errors and notices. */

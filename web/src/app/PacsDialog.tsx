@@ -119,7 +119,7 @@ function Content() {
   );
 }
 
-/** Render the reason of the last failed request, with what to do. */
+/** Render the reason for the failure of the last request, and what to do. */
 function Problem() {
   const problem = useApp((state) => state.pacs.problem);
   return problem === null ? null : (

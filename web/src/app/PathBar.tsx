@@ -239,7 +239,7 @@ function RulerSlider({ route }: { route: RouteInfo }) {
   );
 }
 
-/** Render a mark at the route position nearest to a tip that moves freely. */
+/** Render a mark on the ruler at the route position that is nearest to a freely moving tip. */
 function Shadow({ route, percent }: { route: RouteInfo; percent: (value: number) => string }) {
   const tip = useApp((state) => (state.pose === null ? null : tipKey(tipLps(state))));
   if (tip === null) return null;

@@ -23,7 +23,7 @@ const RIGHT = 4;
 interface ProfileChartProps {
   points: readonly ProfilePoint[];
   title: string;
-  /** Text below the chart while the cursor is outside the chart. */
+  /** Text that is shown below the chart while the cursor is outside the chart. */
   words: string;
 }
 

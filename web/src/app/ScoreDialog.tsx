@@ -129,7 +129,7 @@ function ScoreContent({ score }: { score: FlightScore }) {
   );
 }
 
-/** Render the button that shows the definitions of everything that is no row of a table. */
+/** Render the button that shows the definitions of the values that are in no table. */
 function Definitions() {
   const [shown, setShown] = useState(false);
   return (
@@ -200,7 +200,7 @@ function Segments({ title, names }: { title: string; names: readonly string[] })
   );
 }
 
-/** Render the button that compares the flight with the expert's; nothing after the comparison. */
+/** Render the button that compares the flight with the expert's; nothing once they are compared. */
 function Expert({ score }: { score: FlightScore }) {
   const station = useStation();
   const isExpert = useApp((state) => expertFlight(state) === score.flight);

@@ -40,7 +40,7 @@ const MARK_WORDS: Readonly<Record<TimelineMark["kind"], string>> = {
   revisit: "visited again",
 };
 
-/** Least distance between two buttons of the timeline, as a share of its length. */
+/** Minimum distance between two buttons of the timeline, as a share of its length. */
 const MOMENT_SHARE = 0.07;
 
 /** Render the timeline of the procedure with its events, and buttons at the worst moments. */

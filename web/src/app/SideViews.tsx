@@ -42,7 +42,7 @@ export function SideViews() {
   );
 }
 
-/** Value of the button that shows the views of a cell side by side, among the buttons that choose one view. */
+/** Value of the button that shows all views of a cell side by side; the other buttons choose one view. */
 const SIDE_BY_SIDE = "side-by-side";
 
 /** Render the buttons that switch a cell of the window to another of its views; nothing if the cell has one view. */
@@ -98,7 +98,7 @@ type Need = (typeof VIEWS)[ViewName]["needs"][number];
 interface CellProps {
   cell: SideCell;
   view: ViewName;
-  /** Whether the window shows only this view of the cell. */
+  /** Whether the window shows no other view of the cell. */
   isAlone: boolean;
 }
 

@@ -127,7 +127,7 @@ function UnplannedRow({ row }: { row: UnplannedTarget }) {
   );
 }
 
-/** Render the name of a target as the button that chooses the target; as text if no way leads to the target. */
+/** Render the name of a target as the button that chooses it; as text if the target has no path. */
 function Choose({ targetId, name, possible }: { targetId: string; name: string; possible: boolean }) {
   const station = useStation();
   if (!possible) return <strong>{name}</strong>;

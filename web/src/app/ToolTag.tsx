@@ -82,7 +82,7 @@ export function ToolHint() {
   );
 }
 
-/** Render the text which point the pen's button marks, if the active tool can use a pen. */
+/** Render which point the pen's (stylus's) button marks, if the active tool can use a pen. */
 export function PenText() {
   const pen = useApp((state) => (marksByPen(state.ui.armed) ? state.pen : null));
   if (pen === null) return null;
@@ -93,7 +93,7 @@ export function PenText() {
   );
 }
 
-/** Return the CSS cursor for an active tool: a cross with a free middle, and the tool's icon beside the cross. */
+/** Return the CSS cursor for an active tool: a cross with an open centre, beside the tool's icon. */
 export function cursorOf(armed: Armed): string {
   const colour = takesAway(armed) ? INK.warning : INK.text;
   const cross = "M11 1v7M11 14v7M1 11h7M14 11h7";

@@ -159,7 +159,7 @@ export class BrowserDevices {
     return this.#mouse !== null;
   }
 
-  /** Whether a device must be read at every display refresh. */
+  /** Whether the page must read a device at every display refresh. */
   get mustBeRead(): boolean {
     const ports = [this.#mouse, this.#handle].some((port) => port !== null && port.name !== null);
     return ports || this.#pads.names.length > 0 || this.#headset?.inside === true || this.#armed.tool !== null;

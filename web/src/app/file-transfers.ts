@@ -132,7 +132,7 @@ export class FileTransfers {
     await this.#take(() => fetchFlightLog(number, AbortSignal.timeout(DOWNLOAD_WITHIN_MS)));
   }
 
-  /** Read the path of the expert's flight for the ghost; null deletes it. */
+  /** Load the path of the expert's flight, which a ghost in the airway view shows; null deletes the path. */
   async loadExpert(flight: number | null): Promise<void> {
     const station = this.#station;
     if (flight === null) return station.ui({ expertPath: null });

@@ -18,8 +18,8 @@ const EXTENT_MM = { least: 5, most: 500 } as const;
 /** Distance of the pan by one press of an arrow key, CSS px. */
 export const PAN_KEY_PX = 40;
 /**
- * Time, ms, for which a gesture starts from the last requested position instead of the displayed one, because gestures
- * follow each other faster than pictures arrive.
+ * Time, ms, after a request, during which a gesture starts from the requested instead of the displayed position,
+ * because gestures follow each other faster than pictures arrive.
  */
 const MEMORY_MS = 400;
 
@@ -122,7 +122,7 @@ export function flatPlacing(station: Workstation, viewport: Viewport): FlatPlaci
   };
 }
 
-/** Shorter side of a slice that {@link showPlace} zooms to, mm: an airway with its surroundings. */
+/** Shorter side of the part of a slice that {@link showPlace} shows, mm: an airway with its surroundings. */
 const PLACE_MM = 40;
 
 /**

@@ -26,7 +26,7 @@ import { wasFinger } from "./last-input";
 import type { Previewing } from "./previewing";
 import type { Station } from "./station";
 
-/** The branch and the patient point at a position in a picture. */
+/** Branch and point (LPS mm) of the patient that a picture shows at a position. */
 interface Pointed {
   /**
    * Patient point at the position, LPS mm; null in the airway view, where only the server can compute the wall point.
@@ -38,11 +38,11 @@ interface Pointed {
   readonly pixel: PixelPoint | null;
 }
 
-/** Time, ms, after the last cursor movement from which the path leads to the pen instead of the cursor. */
+/** Time, ms, without cursor movement after which the live path leads to the tracked pen instead of the cursor. */
 const CURSOR_RESTS_MS = 1000;
-/** Largest distance between the last cursor position and a click, CSS px, at which the cursor position is used. */
+/** Maximum distance, CSS px, between the last cursor position and a click for which the click uses that position. */
 const SHAKES_PX = 3;
-/** Factor of the distance from a branch at which a finger still selects the branch, compared with a mouse. */
+/** Ratio of the maximum distances from a branch at which a finger and a mouse select the branch. */
 const FINGER_REACH = 3;
 
 /**

@@ -52,7 +52,7 @@ export class Previewing {
     if (this.#station.state.preview !== null) this.#station.store.dispatch({ kind: "preview", preview: null });
   }
 
-  /** Discard all requests without an answer, because a new connection does not answer them. */
+  /** Discard all unanswered requests, because a new connection will not answer them. */
   reset(): void {
     this.forget();
     this.#queue.reset();

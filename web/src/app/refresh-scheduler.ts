@@ -3,7 +3,7 @@
  * browser composites a page that requests every refresh, and an idle window used a fifth of a processor core.
  */
 
-/** Time, ms, after the last user input during which every refresh is requested. */
+/** Duration, ms, after the last user input, during which the page acts at every display refresh. */
 export const ACTIVE_MS = 1500;
 /** Interval, ms, between checks at rest for inputs without events, such as a gamepad. */
 export const IDLE_POLL_MS = 100;
@@ -42,7 +42,7 @@ export class RefreshScheduler {
     this.#cancelNext = null;
   }
 
-  /** Request every refresh from the next one on, because the user gave input or an activity began. */
+  /** Act at every display refresh from the next one on, because the user gave input or an activity began. */
   wake = (): void => {
     if (this.#cancelNext === null) return;
     this.#lastActivityMs = this.#hooks.nowMs();

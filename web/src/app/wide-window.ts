@@ -2,7 +2,7 @@
 
 import { useSyncExternalStore } from "react";
 
-/** Least width of a wide window, CSS px; the style sheets use the same width. */
+/** Minimum width of a wide window, CSS px; the style sheets use the same width. */
 const WIDE_PX = 1600;
 
 const query = window.matchMedia(`(min-width: ${WIDE_PX}px)`);

@@ -3,7 +3,7 @@
  * depend on panels.
  */
 
-import { KeyPlayer, keyFrameHooks } from "../input/key-player";
+import { KeyPlayer, keyFrameHooks } from "../input/key-frame-player";
 import { listenToKeys } from "../input/keyboard";
 import { type Action, WINDOWS } from "../input/keymap";
 import { Steering } from "../input/steering";
@@ -69,7 +69,7 @@ import { RefreshScheduler, wakeOnInput } from "./refresh-scheduler";
 import type { Station } from "./station";
 import { asConnection, SLABS } from "./station-parts";
 
-/** Time before a moment at which its replay begins, s. */
+/** Duration, s, of the flight before an event from which the event's replay begins. */
 const REPLAY_BEFORE_S = 3;
 /** Movement along the route by one press of an arrow key on the ruler, mm. */
 const STEP_MM = 2;
@@ -333,7 +333,7 @@ export class Workstation implements Station {
     if (at !== null) this.goTo(at + sign * STEP_MM);
   };
 
-  /** Add the current view as the last key frame, and show the list of key frames. */
+  /** Add the present pose as the last key frame, and show the list of key frames. */
   addKey(): void {
     this.send({ type: "edit_key_frames", edit: { kind: "add" } });
     this.#showKeys(true);
@@ -385,7 +385,7 @@ export class Workstation implements Station {
     this.send({ type: "start_quiz", kind, seed: Math.floor(Math.random() * 2 ** 31) });
   }
 
-  /** Replay a flight from shortly before a moment. */
+  /** Replay a flight from a few seconds before an event. */
   replayMoment(flight: number, atS: number): void {
     this.ui({ openScore: null });
     if (this.#flownFlight !== flight) this.playFlight(flight);
@@ -497,7 +497,7 @@ export class Workstation implements Station {
     else this.pointing.commit(lps);
   }
 
-  /** Activate a tool, or deactivate it if it is already active. */
+  /** Activate a tool (such as cut or bridge), or deactivate it if it is already active. */
   arm(tool: Armed): void {
     const { armed } = this.state.ui;
     this.pointing.forget();
@@ -626,7 +626,7 @@ export class Workstation implements Station {
     this.send({ type: "watch_devices", on: devicesOpen });
   }
 
-  /** Show a view in the cell of the window to which it belongs, alone. */
+  /** Show a view alone in its cell of the window. */
   show = (view: ViewName): void => this.ui({ shown: showing(view, this.state.ui.shown), sideBySide: false });
 
   #showNext(cell: CellName): void {

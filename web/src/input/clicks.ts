@@ -7,10 +7,10 @@ export interface PointerPlace {
   y: number;
 }
 
-/** Longest time between two clicks of a series, ms: the browsers' default for a double click. */
+/** Maximum time between two clicks of a series, ms: the browsers' default for a double click. */
 const SERIES_MS = 500;
 /**
- * Largest distance between two clicks of a series, CSS px. It is larger for a finger, which is less exact than a mouse.
+ * Maximum distance between two clicks of a series, CSS px. It is larger for a finger, which is less exact than a mouse.
  */
 const NEAR_PX = { mouse: 6, finger: 24 } as const;
 
@@ -48,7 +48,7 @@ export function clickAction(count: number, forTool: boolean): "click" | "enlarge
   return forTool || count % 2 === 1 ? "nothing" : "enlarge";
 }
 
-/** An action that cannot be undone, such as a flight, delayed until no second click can follow. */
+/** Action that cannot be undone, such as a flight, delayed until a second click is no longer possible. */
 export class DelayedAction {
   #waiting: ReturnType<typeof setTimeout> | null = null;
   #done = false;

@@ -76,8 +76,7 @@ export type Command =
   | { readonly kind: "own" };
 
 /**
- * Places where a key is valid, with their titles. Several places can apply at once: an active brush, the focused slice,
- * and the page.
+ * Contexts in which a key is valid, with titles. Several can apply at once: an active brush, a focused slice, the page.
  */
 export const PLACES = {
   page: { title: "Anywhere", within: null, over: [] },
@@ -95,13 +94,13 @@ export const PLACES = {
   field: { title: "Text fields", within: null, over: ["page", "brush", "question"] },
   dialog: { title: "Dialogs", within: null, over: ["page", "brush", "question"] },
 } as const satisfies Record<string, { title: string; within: string | null; over: readonly string[] }>;
-/** Name of a place where a key is valid. */
+/** Name of a context in which a key is valid. */
 export type KeyPlace = keyof typeof PLACES;
 
 /** Title of a group of keys on the key card. */
 export type KeyGroup = "Fly" | "Look" | "Plan" | "Airways" | "Views" | "Help";
 
-/** A key with the place where it is valid, its effect and its text. */
+/** Key with its context, its action and its explanation. */
 export interface Binding {
   readonly place: KeyPlace;
   /** `KeyboardEvent.key` with letters in lower case: the printed letter on any keyboard layout. */
@@ -123,7 +122,7 @@ const hold = (axis: HoldAxis, sign: 1 | -1): Command => ({ kind: "hold", axis, s
 const press = (action: Action): Command => ({ kind: "press", action });
 const OWN: Command = { kind: "own" };
 
-/** Keys with the same effect in different directions, which become one line of the key card. */
+/** Keys with one action in several directions, listed in one line of the key card. */
 interface Keys {
   readonly ctrl?: boolean;
   readonly shift?: boolean;

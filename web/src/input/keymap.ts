@@ -12,7 +12,7 @@ export function keyOf(action: Action): string {
   return KEYMAP.find((b) => b.command.kind === "press" && b.command.action === action)?.label ?? "";
 }
 
-/** Return the label of the held key of a movement. */
+/** Return the label of the key that moves the tip along or about an axis while held. */
 export function keyOfHold(axis: HoldAxis, sign: 1 | -1): string {
   return (
     KEYMAP.find(({ command }) => command.kind === "hold" && command.axis === axis && command.sign === sign)?.label ?? ""
@@ -47,10 +47,10 @@ export function bindingOf(event: KeyPress, places: readonly KeyPlace[] = PAGE_PL
   );
 }
 
-/** Places whose keys the listener of the whole page handles. */
+/** Contexts whose keys the listener of the whole page handles. */
 const PAGE_PLACES: readonly KeyPlace[] = ["page", "brush"];
 
-/** Return the place of a view and the more general places that contain it. */
+/** Return the context of a view and the more general contexts that contain it. */
 export function placesOf(view: ViewName): readonly KeyPlace[] {
   const { zoom, pick } = VIEWS[view];
   switch (zoom) {
@@ -101,7 +101,7 @@ const isWithin = (inner: KeyPlace, outer: KeyPlace): boolean => {
 const takesFocus = (place: KeyPlace): boolean =>
   place !== "page" && place !== "brush" && place !== "task" && place !== "question";
 
-/** Return whether the keys of one place intentionally take precedence over those of the other. */
+/** Return whether the keys of one context are intended to take precedence over those of the other. */
 const isOver = (a: KeyPlace, b: KeyPlace): boolean =>
   (PLACES[a].over as readonly KeyPlace[]).some((under) => under === b || isWithin(b, under));
 

@@ -32,7 +32,7 @@ const CLICK_PX = 3;
 /** Scrolling by one line of a wheel that counts in lines, px. */
 const LINE_PX = 16;
 
-/** Middle and distance of two fingers; null with one finger. */
+/** Return the middle and the distance of two fingers; null for one finger. */
 function pairOf(fingers: ReadonlyMap<number, PointerPlace>): { middle: PointerPlace; apart: number } | null {
   const [a, b] = [...fingers.values()];
   if (a === undefined || b === undefined) return null;
@@ -41,7 +41,7 @@ function pairOf(fingers: ReadonlyMap<number, PointerPlace>): { middle: PointerPl
 
 /** Natural logarithm of the zoom factor per px of scrolling, as views apply it to a wheel. */
 export const ZOOM_PER_PX = 0.0015;
-/** Smallest distance of two fingers, px: below it, a small movement would zoom by a large factor. */
+/** Minimum distance of two fingers, px: below it, a small movement would zoom by a large factor. */
 const LEAST_APART_PX = 24;
 
 /** Return the scrolling, px, that zooms by the ratio of two distances between fingers; below 0 for spread fingers. */
@@ -61,7 +61,7 @@ function buttonOf(event: PointerEvent, pans: boolean): DragButton | null {
 /** Add the pointer listener to the element of a picture; return a function that removes it. */
 export function listenToPointer(element: HTMLElement, handlers: PointerHandlers): () => void {
   let drag: { id: number; x: number; y: number; button: DragButton; clicks: boolean; moved: boolean } | null = null;
-  /** The fingers on the element; two of them zoom and pan. */
+  /** Fingers that touch the element, with their positions; two of them zoom and pan. */
   const fingers = new Map<number, PointerPlace>();
   /**
    * Whether a click event of the browser follows the release of the mouse button; the event has the number of the click

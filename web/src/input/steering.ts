@@ -16,7 +16,7 @@ export const TURN_RAD_S = 1.0;
 /** Advance of the tip per px of scrolling, mm; one notch of a common wheel is 100 px. */
 export const WHEEL_MM_PER_PX = 0.03;
 /**
- * Longest time step of the movement, s, so that a late display refresh (another tab, a pause) does not move the tip
+ * Maximum time step of the movement, s, so that a late display refresh (another tab, a pause) does not move the tip
  * through a wall.
  */
 export const MAX_TICK_S = 0.1;
@@ -28,7 +28,7 @@ export interface SteeringHooks {
   /** Return the speed of the automatic flight, mm/s. */
   speedMmS(): number;
   send(message: ClientMessage): void;
-  /** Report the start or end of the automatic flight. */
+  /** Called when the automatic flight starts or ends. */
   advancing(on: boolean): void;
 }
 

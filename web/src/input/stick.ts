@@ -1,6 +1,6 @@
 /** Deflection of a stick of the flight pad by the place of a thumb. */
 
-/** Share of the radius around the middle in which a thumb rests without a movement. */
+/** Radius of a stick's dead zone, in which a thumb causes no movement, as a share of the stick's radius. */
 const DEAD = 0.12;
 
 /** Return the deflection of a stick, -1 to 1 on each axis with `down` downwards, for a thumb in a square of a size. */

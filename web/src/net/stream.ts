@@ -45,7 +45,7 @@ export interface StreamClock {
 const OPEN = 1;
 /** Delay before the first retry, ms. */
 const FIRST_RETRY_MS = 500;
-/** Largest delay before a retry, ms. */
+/** Maximum delay before a retry, ms. */
 const LAST_RETRY_MS = 8000;
 
 /** Return the delay before the n-th retry (0 is the first) in ms; the delay doubles up to a maximum. */

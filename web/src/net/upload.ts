@@ -26,11 +26,11 @@ export interface UploadProgress {
   numFiles: number;
 }
 
-/** Number of files of an upload above which it is refused. */
+/** Maximum number of files of an upload. */
 const MAX_FILES = 4096;
-/** Total size in bytes of an upload above which it is refused. */
+/** Maximum total size in bytes of an upload. */
 const MAX_BYTES = 4 * 2 ** 30;
-/** Size in bytes of one file above which the upload is refused. */
+/** Maximum size in bytes of one file of an upload. */
 const MAX_FILE_BYTES = 2 * 2 ** 30;
 
 /**

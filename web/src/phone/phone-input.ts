@@ -3,7 +3,7 @@
 import type { PhoneMessage } from "../wire/messages";
 import type { Wxyz } from "./orientation";
 
-/** Shortest interval between two messages, s: further messages for a 120 Hz display would be useless. */
+/** Minimum interval between two messages, s: more frequent ones, as at 120 Hz, would have no effect. */
 const MIN_S = 1 / 65;
 /**
  * Interval, s, at which held input is sent again, because the server releases the input of a phone that sends nothing.

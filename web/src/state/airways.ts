@@ -124,7 +124,7 @@ const continuesIn = ({ branch: above }: BranchNode, { branch }: BranchNode): boo
   branch.name_from === above.name_from &&
   branch.kind === above.kind;
 
-/** Return the first branch of a branch's row, which represents the row in the list. */
+/** Return the first branch of the bronchus that a row of the branch list shows. */
 export const headOf = (node: BranchNode): BranchNode => node.row[0] ?? node;
 
 /**
@@ -188,7 +188,7 @@ export interface OnwardBranch {
  * diameter of the child, so that the point is past the spur and before the next bend.
  */
 const OPENING_MM = { least: 4, most: 10 };
-/** Largest number of branches in a row in which the point of an opening is searched. */
+/** Maximum number of successive branches in which the point that represents an opening is searched. */
 const OPENING_DEPTH = 4;
 /** A branch at a fork of the planned route, with its opening in the list of turns. */
 export interface TurnBranch {

@@ -3,7 +3,7 @@
 import type { ForkAhead } from "./fork";
 import { mm } from "./format";
 
-/** What the airway view shows about the way of the tip. */
+/** Information about the path ahead of the tip that the airway view shows. */
 export interface WayAhead {
   readonly fork: ForkAhead | null;
   readonly atEnd: boolean;

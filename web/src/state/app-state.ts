@@ -112,7 +112,7 @@ export interface Ui {
   /** Cost function of the path search to the next target. `pathStart` is the start point that the user has marked. */
   readonly pathCost: PathCost;
   readonly pathStart: Vec3 | null;
-  /** The branch whose end (a fork) the user is moving; null if none. */
+  /** Branch whose end (a fork) the user is moving with the fork tool; null if none. */
   readonly forkHeld: number | null;
   readonly brushMm: number;
   /** ID of the target whose boundary the brush changes; null if the brush edits no target. */
@@ -131,7 +131,7 @@ export interface Ui {
   readonly keyCardOpen: boolean;
   /** Number of the current stop of the tour; null while no tour runs. */
   readonly tourAt: number | null;
-  /** Number of the current hint of the first minute. */
+  /** Index of the current hint that explains the window to a new user. */
   readonly hintAt: number;
   /** Whether the dialog that saves the case as a named file is open. */
   readonly saveOpen: boolean;
@@ -274,7 +274,10 @@ export interface AppState {
   /** Measured speed of the tip, mm/s; null while the tip does not move. */
   readonly speedMmS: number | null;
   readonly ui: Ui;
-  /** Look of the case: the server's latest value, with the changes that this page has sent since. */
+  /**
+   * Display settings of the airway view (instrument, outline, field of view): the server's, with unsent changes of this
+   * page.
+   */
   readonly look: Look;
   readonly sight: Sight;
   readonly local: {
@@ -409,7 +412,7 @@ export type AppEvent =
   | { kind: "dismiss"; id: number }
   | { kind: "ui"; change: Partial<Ui> };
 
-/** Initial values of the answers that are valid only for one case and one connection. */
+/** Initial values of the server's answers that are valid only for one case and one connection. */
 const NOTHING_SHOWN = { livePath: null, targetMark: null, preview: null, doubt: null, detail: null } as const;
 
 /** Interface state with no active tool and nothing under the cursor. */
@@ -705,7 +708,7 @@ function poseChanged(state: AppState, pose: PoseMessage): AppState {
   return state.pose !== null && pose.pose_id < state.pose.pose_id ? state : { ...state, pose };
 }
 
-/** Return the state with the expected result of a command, before the server has answered. */
+/** Return the state with the result that a command is expected to have, before the server answers. */
 function foresee(state: AppState, message: ClientMessage, number: number): AppState {
   switch (message.type) {
     case "undo":
@@ -772,7 +775,7 @@ function connectionChanged(state: AppState, connection: Connection): AppState {
   return { ...state, connection, jobs, pose, pen: null, local: NOTHING_LOCAL, ui: { ...state.ui, advancing: false } };
 }
 
-/** Largest number of notices in the list; older notices are removed. Errors stay until the user closes them. */
+/** Maximum number of notices in the list; older notices are removed. Errors stay until the user closes them. */
 const MAX_NOTICES = 3;
 
 function say(state: AppState, message: Omit<Message, "id">): AppState {

@@ -5,7 +5,7 @@ import { type BranchNode, type BranchTree, headOf, rowChildren } from "./airways
 import { fixed, mm, plural } from "./format";
 import { placeText, type WithOrigin } from "./route";
 
-/** Confidence below which the list marks a branch's name (first value) or the branch itself (second value) as doubtful. */
+/** Confidence below which the list marks a branch's name (`name`) or the branch itself (`airway`) as doubtful. */
 const DOUBTFUL = { name: 0.6, airway: 0.5 } as const;
 
 /** Sign after a branch name in the list, with its explanation. */
@@ -212,7 +212,7 @@ export function bestHit(tree: BranchTree, { hits }: Filtered, text: string): num
   return exact ?? hits[0] ?? null;
 }
 
-/** The part of a route that its warnings need. */
+/** Properties of a route from which its warnings are made. */
 type WithSpans = WithOrigin & { readonly spans: readonly Pick<RouteSpan, "kind" | "from_mm" | "to_mm">[] };
 
 /** Return the warnings about parts of a route that the CT does not show, as text; null if there are none. */

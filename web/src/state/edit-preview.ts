@@ -75,7 +75,7 @@ export function previewText({ answer }: Preview): { lines: readonly string[]; wa
   }
 }
 
-/** Largest number of renamed branches beside the cursor. */
+/** Maximum number of renamed branches beside the cursor. */
 const MAX_RENAMED = 4;
 
 /** Return a line for each branch that the edit would rename. */

@@ -2,13 +2,17 @@
 
 import { distance, type Vec3 } from "./vec";
 
-/** Distance in mm from the trainee's tip at which the expert's tip is shown ahead. */
+/** Distance in mm along the expert's path, ahead of the trainee's tip, at which the expert's tip is shown. */
 const AHEAD_MM = 10;
-/** Largest distance of the tip from the expert's path, mm, at which both are at the same place. */
+/**
+ * Maximum distance in mm between the trainee's tip and the expert's path at which the trainee counts as on the path.
+ */
 const SAME_PLACE_MM = 8;
-/** Distance beyond the nearest pass, mm, up to which another pass of the expert is also at this place. */
+/**
+ * Distance in mm beyond the nearest passage of the expert up to which a later passage counts as at the same position.
+ */
 const OTHER_PASS_MM = 3;
-/** Smallest distance in mm between two stored points of the expert's path. */
+/** Minimum distance in mm between two stored points of the expert's path. */
 const APART_MM = 1;
 
 /** Positions of the expert's tip in the order of time, without repeated ones. */

@@ -5,12 +5,12 @@ import { type BranchTree, type OnwardBranch, onwardBranches, type TurnBranches }
 import { FORK_TOLERANCE_MM } from "./route";
 import type { Camera } from "./vec";
 
-/** Distance, mm, of the tip past a fork up to which that fork still counts as the fork ahead. */
+/** Distance, mm, of the tip past a fork up to which the airway view still describes that fork. */
 const STILL_HERE_MM = 4;
 
 /**
- * Distance of the tip from a fork, mm, up to which clock hours are shown. From farther away all openings are near the
- * middle of the view.
+ * Maximum distance of the tip from a fork, mm, at which clock hours are shown; from farther away all openings look
+ * central.
  */
 const HOURS_MM = 30;
 

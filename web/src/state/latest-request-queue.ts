@@ -65,7 +65,7 @@ export class LatestRequestQueue<Question, Answer extends { readonly request_id: 
     return { answer, tookMs, overtaken: next !== null };
   }
 
-  /** Discard all requests without an answer, because a new connection does not answer them. */
+  /** Discard all unanswered requests, because a new connection will not answer them. */
   reset(): void {
     this.#underWay = null;
     this.forget();

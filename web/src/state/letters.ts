@@ -26,7 +26,7 @@ export const LETTER_TEXTS: Readonly<Record<Letter, string>> = {
 };
 
 /**
- * Smallest second component of a direction that adds a second letter: sin 12 degrees, because a smaller tilt is not
+ * Minimum second component of a direction that adds a second letter: sin 12 degrees, because a smaller tilt is not
  * visible.
  */
 const SECOND_LETTER = 0.2;
@@ -76,7 +76,7 @@ export interface RingMark {
 }
 
 /**
- * Smallest component in the image plane of a direction on the ring. A direction within 30 degrees of the viewing axis
+ * Minimum component in the image plane of a direction on the ring. A direction within 30 degrees of the viewing axis
  * points mainly into or out of the picture.
  */
 const RING_MIN_STRENGTH = 0.5;

@@ -6,7 +6,7 @@
  */
 export interface Optimistic<T> {
   readonly value: T;
-  /** Number of the command, on this connection, that sets the value. */
+  /** Number, on this connection, of the command that sets the value. */
   readonly number: number;
 }
 

@@ -5,7 +5,7 @@ import type { Step } from "./steps";
 /** A panel of the left column: the list (airways or history), or the panel of the step. */
 export type PanelName = "list" | "step";
 
-/** The part of the interface's state that decides which panel is shown. */
+/** Properties of the interface's state from which the shown panel follows. */
 interface PanelState {
   readonly panel: PanelName;
   readonly list: "airways" | "history";

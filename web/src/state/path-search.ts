@@ -98,7 +98,7 @@ export function sliderLabel(route: WithOrigin, numCrossings: number): string {
   return numCrossings === 0 ? label : `${label}; the path crosses the airway wall ${timesText(numCrossings)}`;
 }
 
-/** Largest number of crossings in a text; the ruler of the route marks all of them. */
+/** Maximum number of crossings in a text; the ruler of the route marks all of them. */
 const MAX_CROSSINGS = 6;
 
 /** Return where a path crosses the wall of the lumen as text; only the first crossings are listed. */

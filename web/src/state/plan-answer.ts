@@ -21,7 +21,7 @@ export function answeredPlan(state: AppState): TargetPlan | null {
   return isPlanned || state.plans?.standing === "making" ? plan : null;
 }
 
-/** Whether a target is reached, as text. */
+/** Text that states whether a target is reached. */
 export interface ReachAnswer {
   readonly kind: "reaches" | "may-reach" | "does-not-reach" | "cannot-say";
   readonly headline: string;
@@ -64,7 +64,7 @@ export function needleText(leg: NeedleLeg): string {
   return `${mm(leg.to_target_mm, 0)} to the target, ${fixed(leg.angle_deg)}\u00b0 to the airway, ${hits}`;
 }
 
-/** Length, mm, of the needle's path inside a vessel below which the path counts as passing beside the vessel. */
+/** Maximum length, mm, of the needle's path inside a vessel that counts as passing beside the vessel. */
 const THROUGH_MM = 0.05;
 
 /** Return the vessel nearest to the needle as text; `warns` is true for a vessel on the way or within the margin. */

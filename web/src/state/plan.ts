@@ -27,7 +27,7 @@ export const share = (part: number): string => `${fixed(100 * part)}\u202f%`;
 export const figure = (value: number | null | undefined, text: (value: number) => string): string =>
   value === null || value === undefined ? "\u2013" : text(value);
 
-/** Distance of a vessel from the needle, mm, below which the needle crosses the vessel. */
+/** Distance between vessel and needle, mm, below which the needle crosses the vessel. */
 const CROSSED_VESSEL_MM = 0.05;
 
 /** Return the distance of the needle from the nearest vessel as the text of a table's cell. */

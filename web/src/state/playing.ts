@@ -5,7 +5,7 @@ import { fixed } from "./format";
 /** State of the playback of one flight. */
 export interface Playing {
   readonly on: boolean;
-  /** Current position in the flight, s; the last one if the playback is paused. */
+  /** Current time in the flight, s; the time of the pause if the playback is paused. */
   readonly atS: number;
   readonly rate: number;
 }

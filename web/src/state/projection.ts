@@ -44,7 +44,7 @@ export interface SeenGeometry {
 /** Geometry of a planar picture or of a camera picture. */
 export type Geometry = FlatGeometry | SeenGeometry;
 
-/** The fields of a picture header that define the geometry of the picture. */
+/** Properties of a picture header that define the picture's position and scale in the patient. */
 export interface Placed {
   width: number;
   height: number;
@@ -183,7 +183,7 @@ function throughLens(lens: PictureLens, x: number, y: number, z: number): PixelP
 }
 
 /**
- * Largest angle between the viewing direction and a drawn line, rad. A line behind a fisheye camera would cross the
+ * Maximum angle between the viewing direction and a drawn line, rad. A line behind a fisheye camera would cross the
  * whole picture; 120 degrees is beyond every corner.
  */
 const WIDEST_LINE_RAD = (120 * Math.PI) / 180;

@@ -3,7 +3,7 @@
 import type { PlannedTurn, RouteInfo } from "../wire/messages";
 import { asVec3, type Vec3 } from "./vec";
 
-/** Distance, mm, of the tip past a fork up to which the dots of that fork are drawn. */
+/** Distance, mm, of the tip past a fork up to which the dots that mark the fork's opening are drawn. */
 const STILL_HERE_MM = 4;
 
 /** The next turn of a route with an opening in view. */

@@ -23,7 +23,7 @@ export function clampToRoute(route: Pick<RouteInfo, "length_mm">, pathMm: number
   return Math.min(Math.max(pathMm, 0), route.length_mm);
 }
 
-/** The part of a route that defines its distances from the origin. */
+/** Properties of a route that define its distances from the origin. */
 export type WithOrigin = Pick<RouteInfo, "origin" | "lumen_known" | "cumulative_mm" | "centreline_mm">;
 
 /** Return whether the distances along a route are measured from the main carina. */

@@ -14,7 +14,7 @@ export interface MapLine {
   readonly at: number | null;
 }
 
-/** Generation of branches beyond which the map of the score draws no branch. */
+/** Maximum generation of the branches that the map of the score draws. */
 const MAX_GENERATION = 5;
 
 /** Return the lines of the map: the branches of low generation, those of segments with the time of their view. */

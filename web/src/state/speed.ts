@@ -9,12 +9,12 @@ export const AUTO_SPEEDS_MM_S = [2, 5, 10, 20, 30, 50, 100] as const;
 
 /** Averaging window of the speed, ms: long enough for poses that arrive in bursts, short enough to follow the hand. */
 const WINDOW_MS = 600;
-/** Shortest time span of a measured speed, ms; a shorter span gives a noisy speed. */
+/** Minimum time span of a measured speed, ms; a shorter span gives a noisy speed. */
 const MIN_MS = 200;
 /** Time in ms without a new pose after which the tip counts as not moving. */
 const STILL_MS = 300;
 /**
- * Largest step between two poses, mm, that counts as movement; a larger step is a jump. It corresponds to 500 mm/s, the
+ * Maximum step between two poses, mm, that counts as movement; a larger step is a jump. It corresponds to 500 mm/s, the
  * fastest stick speed, at 30 poses/s.
  */
 const JUMP_MM = 17;

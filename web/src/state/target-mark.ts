@@ -8,7 +8,7 @@ import { distance, type Vec3 } from "./vec";
 
 /** Time, ms, for which the cursor rests before the structure under the cursor is segmented. */
 export const RESTS_MS = 250;
-/** Largest distance, mm, between the cursor and the point of an answer at which the answer is shown. */
+/** Maximum distance, mm, between the cursor and the point of an answer at which the answer is shown. */
 const SAME_POINT_MM = 0.3;
 
 /** Return whether a click would segment the structure at the point, so that the cursor states the result. */

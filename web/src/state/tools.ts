@@ -182,5 +182,5 @@ export function strokePoints<P extends readonly [number, number, number]>(drawn:
   return reduced.slice(0, MAX_STROKE);
 }
 
-/** Largest number of points of a brush stroke that the protocol accepts. */
+/** Maximum number of points of a brush stroke that the protocol accepts. */
 const MAX_STROKE = 2000;

@@ -58,7 +58,7 @@ export function shownExpert(state: AppState): ExpertPath | null {
   return isOther || attemptOf(state)?.task.ghost_shown === true ? expertPath.path : null;
 }
 
-/** Largest difference of a number of two poses that are the same, mm or without unit. */
+/** Maximum difference of a number of two poses that are the same, mm or without unit. */
 const SAME_POSE = 0.01;
 
 /** Return whether the tip has the pose of the present question of the quiz. */

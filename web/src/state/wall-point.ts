@@ -15,7 +15,7 @@ export interface WallPoint {
   readonly generation: number | null;
 }
 
-/** Largest number of marked wall points: two, for a distance measurement; a third one replaces the oldest. */
+/** Maximum number of marked wall points: two, for a distance measurement; a third one replaces the oldest. */
 const MAX_POINTS = 2;
 
 /**

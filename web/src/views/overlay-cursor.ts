@@ -114,14 +114,14 @@ export function paintBrush(
 
 /** Height of a line of the text at the cursor, CSS px. */
 const LINE_PX = 15;
-/** Largest width of a line of the text at the cursor, CSS px; about 36 characters. */
+/** Maximum width of a line of the text at the cursor, CSS px; about 36 characters. */
 const MAX_LINE_PX = 220;
 /** Space beside the text: its padding, and 2 px to each edge of the view, CSS px. */
 const MARGINS_PX = 16;
 
 /** Distance of the text from the cursor, CSS px. */
 const BESIDE_PX = { x: 16, y: 12 };
-/** Least distance of the text from the edges of the view and from elements over the picture, CSS px. */
+/** Minimum distance of the text from the edges of the view and from elements over the picture, CSS px. */
 const APART_PX = 2;
 
 /** Draw the text at the cursor in the view under the cursor; nothing in other views. */

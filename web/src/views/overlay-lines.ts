@@ -18,7 +18,7 @@ const IN_SURFACE_MM = 2.5;
 const NEAR_SURFACE_MM = 15;
 /** Half the width of the straightened airway's strip, mm, as the server renders the strip. */
 const STRIP_MM = 40;
-/** Smallest distance of the distance axis from the left edge, CSS px. */
+/** Minimum distance of the distance axis from the left edge, CSS px. */
 const AXIS_PX = 7;
 /** Space beside a strip for the distance axis, CSS px. */
 const AXIS_ROOM_PX = 66;
@@ -26,9 +26,9 @@ const AXIS_ROOM_PX = 66;
 const NAMES_ROOM_PX = 110;
 /** Length of a tick of the axis with the distances along the route, CSS px. */
 const TICK_PX = 4;
-/** Smallest distance between two ticks of the distance axis, CSS px. */
+/** Minimum distance between two ticks of the distance axis, CSS px. */
 const TICKS_APART_PX = 30;
-/** Smallest vertical distance between two names of branches, CSS px. */
+/** Minimum vertical distance between two names of branches, CSS px. */
 const NAMES_APART_PX = 15;
 const DASH: readonly number[] = [5, 4];
 const TICKS_MM = [1, 2, 5, 10, 20, 50, 100, 200] as const;

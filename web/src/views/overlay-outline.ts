@@ -28,7 +28,7 @@ const ALPHAS = [1, 0.7, 0.45, 0.2] as const;
 const DOTTED: readonly number[] = [1, 3];
 const DOT_PX = { least: 1.25, most: 3, ofRadius: 0.25 } as const;
 /**
- * Smallest distance, px, between the dots that mark where a centreline crosses the plane. A winding centreline crosses
+ * Minimum distance, px, between the dots that mark where a centreline crosses the plane. A winding centreline crosses
  * the plane often.
  */
 const DOTS_APART_PX = 8;

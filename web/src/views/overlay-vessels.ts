@@ -15,7 +15,7 @@ const NUM_DEPTHS = 8;
 const ALPHAS = [0.22, 0.7] as const;
 /** Step of the line widths, px. Vessels whose widths round to the same step are stroked together. */
 const WIDTH_STEP_PX = 0.5;
-/** Smallest width of the line of a vessel, px; thinner vessels are widened. */
+/** Minimum width of the line of a vessel, px; thinner vessels are widened. */
 const MIN_PX = 0.75;
 
 /** Collection of lines by depth level and width; lines of the same level and width are stroked together. */

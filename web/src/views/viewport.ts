@@ -12,7 +12,7 @@ import { type DrawnLayer, drawnLayers } from "./layer-path";
 import { clipPathOf, type Shape } from "./outline";
 import { outlinePath } from "./outline-path";
 
-/** Smallest picture side that the protocol accepts, px. */
+/** Minimum picture side that the protocol accepts, px. */
 const MIN_SIDE_PX = 16;
 /** Space for the letters on each side of a round picture, CSS px. */
 export const RING_PX = 26;

@@ -79,7 +79,7 @@ export interface EmptyForgottenMessage {
   readonly type: "empty_forgotten";
 }
 
-/** Delete the cached CTs; Carina then reads them from their files again. */
+/** Delete the cached CTs; later openings read the CTs from their files. */
 export interface EmptyCtCacheMessage {
   readonly type: "empty_ct_cache";
 }
@@ -201,7 +201,7 @@ export interface EditPaintLumen {
   readonly erase?: boolean;
 }
 
-/** Smooth a branch's centreline; its ends stay. */
+/** Smooth a branch's centreline between its fixed ends. */
 export interface EditSmoothBranch {
   readonly kind: "smooth-branch";
   readonly branch_id: number;
@@ -345,7 +345,7 @@ export interface SetModeMessage {
   readonly mode: "free" | "path" | "scope";
 }
 
-/** Change to the other mode, without a jump of the picture. */
+/** Change between free movement and movement along the path, without a jump of the picture. */
 export interface ToggleModeMessage {
   readonly type: "toggle_mode";
 }
@@ -1008,7 +1008,7 @@ export interface SetPhoneMessage {
   readonly on: boolean;
 }
 
-/** Request to send `devices` a few times a second (`on`), or only after changes. */
+/** Request for device values: a few times a second (`on`), or only after changes. */
 export interface WatchDevicesMessage {
   readonly type: "watch_devices";
   readonly on: boolean;
@@ -1661,7 +1661,7 @@ export interface Look {
   readonly operator: "facing" | "head";
 }
 
-/** Grey window of all slice views; raw values where the volume is not in HU. */
+/** Window and level of all slice views, in HU, or in stored values if the volume is not in HU. */
 export interface GreyWindow {
   readonly width_hu: number;
   readonly level_hu: number;
@@ -1703,7 +1703,7 @@ export interface Reformation {
   readonly mm_per_px: number | null;
 }
 
-/** Display settings of a case, which are not steps of undo. */
+/** Display settings of a case (window, slab, crosshair, zoom, orbits), which undo does not change. */
 export interface Sight {
   readonly crosshair_lps: readonly [number, number, number] | null;
   readonly window: GreyWindow | null;
@@ -1820,7 +1820,7 @@ export interface HistoryMessage {
   readonly step: number;
 }
 
-/** The part of a route inside one branch, given by positions in mm along the route. */
+/** Part of a route inside one branch, as positions in mm along the route. */
 export interface RouteSpan {
   readonly branch_id: number;
   readonly name: string | null;
@@ -2166,7 +2166,7 @@ export interface PacsSeriesMessage {
   readonly reason: string;
 }
 
-/** Facts and picture of a series, from its middle image. */
+/** Properties and picture of a series, read from its middle image. */
 export interface PacsPreviewMessage {
   readonly type: "pacs_preview";
   readonly series_uid: string;

@@ -188,7 +188,7 @@ export function checkPhoneMessage(text: string): void {
   parseMessage(PHONE_TYPES, text);
 }
 
-/** Largest accepted length of a picture's header, bytes. */
+/** Maximum accepted length of a picture's header, bytes. */
 const MAX_HEADER_BYTES = 65_536;
 
 /** A received picture: header, image data, outline and layers. */

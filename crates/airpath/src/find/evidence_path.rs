@@ -1,4 +1,4 @@
-//! Search for the path from a position in the lung to the lumen along which the CT shows the most airway wall
+//! Search for the path from a lung position to the lumen along which the CT shows most airway wall
 //! (docs/decisions/0140).
 //!
 //! The measure of wall is the enclosure of a voxel ([`crate::find::tubeness`]), which the extension of the lumen uses
@@ -18,12 +18,13 @@ use crate::find::tubeness::{Enclosure, REACH_MM, smoothed};
 use carina_leastcost::ordered_cost::OrderedCost;
 use carina_leastcost::{TrackError, Watch};
 
-/// Value levels of a CT that determine the cost of a step of a path, in the volume's numbers.
+/// Voxel values that determine the cost of a step of a path, in the CT's numbers.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct WayLevels {
-    /// Rise of the values to a wall that most lung voxels do not reach; the cost is lowest at twice this rise.
+    /// Rise in value from a voxel to the walls round it that most lung voxels do not reach; the cost is lowest at twice
+    /// this rise.
     pub enclosed: f64,
-    /// Largest voxel value of the air in a wide airway; such a voxel needs no wall to be cheap.
+    /// Maximum voxel value of the air in a wide airway; such a voxel has a low cost even without a wall.
     pub dark: f64,
     /// Voxel value above which the cost of a step increases with the brightness.
     pub bright: f64,
@@ -31,35 +32,36 @@ pub struct WayLevels {
     pub closed: f64,
 }
 
-/// Weight of a voxel without any wall round it; the middle of an airway has the weight 1.
+/// Cost per mm of a voxel without any wall round it; the middle of an airway costs 1.
 const NO_WALL_WEIGHT: f64 = 25.0;
-/// Largest weight of a voxel that is as dark as the air of a wide airway, even if the rays meet no wall.
+/// Maximum cost per mm of a voxel that is as dark as the air of a wide airway, even if no wall surrounds it.
 const DARK_WEIGHT: f64 = 1.5;
-/// Additional weight of a voxel that is about as bright as tissue.
+/// Additional cost per mm of a voxel that is about as bright as tissue.
 const BRIGHT_WEIGHT: f64 = 6.0;
-/// Number of voxels after which a search that has met no lumen heads straight for a given position in the lumen.
+/// Number of voxels after which a search that has met no lumen favours steps towards a given position in the lumen.
 const STRAIGHT_AFTER_VOXELS: usize = 25_000;
-/// Number of voxels after which a search stops without a result, because tissue separates its start from the lumen.
+/// Maximum number of voxels of a search; a search that needs more stops without a result, because tissue separates its
+/// start from the lumen.
 const MAX_VOXELS: usize = 300_000;
-/// Edge length of a block of the cache, in voxels.
+/// Edge length of a block of voxels in the cache of weights, in voxels.
 const BLOCK: usize = 8;
-/// Number of voxels of one block of the cache of weights.
+/// Number of voxels of one block in the cache of weights.
 const BLOCK_VOXELS: usize = BLOCK * BLOCK * BLOCK;
-/// Mark of a voxel whose enclosure has not been computed.
+/// Value of a voxel whose enclosure (rise in value to the walls round it) has not been computed.
 const UNKNOWN: i16 = i16::MIN;
-/// Mark of the voxel at which a search starts: no step leads to it.
+/// Value of the voxel at which a search starts, to which no step leads.
 const NO_STEP: u8 = 255;
 
-/// Lumen voxels at the tips of branches; a path that ends there is preferred to one that ends at a wall.
+/// Lumen voxels at the tips of branches; a path that ends at a tip is preferred to one that ends at a side wall.
 #[derive(Debug, Clone, Default)]
 pub struct PreferredTips {
     /// Indices of the lumen voxels at the tips of branches.
     pub voxels: HashSet<[usize; 3]>,
-    /// Largest cost by which a path to a tip may exceed the best path to any lumen.
+    /// Amount by which the cost of a path to a tip may exceed that of the cheapest path to any lumen.
     pub allowance: f64,
 }
 
-/// Volume without its finest noise, with a cache of the enclosures of its voxels.
+/// Smoothed copy of a volume, with a cache of its voxels' enclosures (the rise in value to the walls round a voxel).
 #[derive(Debug)]
 pub struct Enclosures {
     grid: Grid,
@@ -96,7 +98,7 @@ impl Enclosures {
         &self.grid
     }
 
-    /// Return the volume without its finest noise.
+    /// Return the smoothed copy of the volume.
     #[must_use]
     pub fn smooth(&self) -> VolumeView<'_, i16> {
         VolumeView::new(&self.smooth, &self.grid).expect("made on this grid")
@@ -108,7 +110,7 @@ impl Enclosures {
         carina_leastcost::lumen::interpolated(self.smooth(), ijk)
     }
 
-    /// Return the enclosure of a voxel: the rise of the values on all but a fifth of the rays from the voxel.
+    /// Return the enclosure of a voxel: the rise in value that all but a fifth of the rays from the voxel meet.
     #[must_use]
     pub fn at(&self, voxel: [usize; 3]) -> i16 {
         let [nx, ny, _] = self.grid.shape_ijk();
@@ -168,8 +170,7 @@ impl Enclosures {
         )
     }
 
-    /// Find for each start the least-cost path to any voxel at a distance of `away_mm`, whether the voxel is lumen or
-    /// not.
+    /// Find for each start the least-cost path to any voxel, lumen or not, at a distance of `away_mm` from the start.
     ///
     /// The costs of these paths show what a path through lung alone costs. Each path begins at its far end. The result
     /// is `None` for a start without such a path.
@@ -322,7 +323,7 @@ impl Enclosures {
         }))
     }
 
-    /// Return the weight of a voxel, computed once per search; a negative number for a voxel of the lumen.
+    /// Return the cost per mm of a voxel, computed once per search; a negative number for a voxel of the lumen.
     fn weight_of(
         &self,
         search: &mut Search,

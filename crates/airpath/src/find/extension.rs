@@ -1,4 +1,5 @@
-//! Extension of the lumen from the end of the flood into airways that the flood could not follow (docs/algorithms.md).
+//! Second step of the search: paths from the lumen of the flood into smaller airways that the flood missed
+//! (docs/algorithms.md).
 //!
 //! The flood ends where the wall of an airway is not brighter everywhere than the level of the flood. The extension
 //! searches by shape instead of by level: from the lumen's surface it follows, face to face, voxels that are enclosed
@@ -23,23 +24,23 @@ use crate::find::extension_ways::Search;
 use crate::find::tubeness::{Enclosure, REACH_MM, smoothed};
 use carina_leastcost::{TrackError, Watch};
 
-/// Paths and voxels that [`extend`] added to a lumen.
+/// Paths and voxels that [`extend`] added to the lumen of the flood.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Extension {
-    /// Accepted paths; each path comes before the paths that branch off it.
+    /// Accepted paths along small airways; each path comes before the paths that branch off it.
     pub followed: Vec<Followed>,
     /// Number of voxels that the extension added to the lumen.
     pub num_voxels: usize,
-    /// Threshold of the enclosure in the volume's numbers, which 98 % of the lung does not reach.
+    /// Threshold of the enclosure (rise in value to the walls round a voxel), which 98 % of the lung does not reach.
     pub enclosed: f64,
-    /// Number of voxels that were reached from the lumen's surface, before paths were accepted or discarded.
+    /// Number of voxels that were reached from the lumen's surface, in accepted and in rejected paths.
     pub num_reached: usize,
-    /// Whether the search was cancelled because it reached more of the lung than airways occupy; nothing was added
-    /// then.
+    /// Whether the search was cancelled because it reached more of the lung than airways occupy; then it added nothing.
     pub ran_out: bool,
 }
 
-/// Extend `lumen` (1 inside, 0 outside; face-connected) in place; each added voxel gets the value [`EXTENDED`].
+/// Add small airways to `lumen` (1 inside, 0 outside; face-connected) in place; each added voxel gets the value
+/// [`EXTENDED`].
 ///
 /// # Errors
 ///

@@ -1,9 +1,10 @@
-//! Limits of the extension, thresholds from the lung of a volume, and the marks of voxels during the search.
+//! Limits of the search for small airways, thresholds from the lung of a volume, and the states of voxels during the
+//! search.
 
 use crate::find::lung_sample::{LungSample, quantile};
 use crate::find::tubeness::Enclosure;
 
-/// Limits of the search that extends airways beyond the end of the flood.
+/// Limits of the search for airways beyond the lumen of the flood.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ExtensionLimits {
     /// Voxel value of the air in the trachea.
@@ -12,24 +13,26 @@ pub struct ExtensionLimits {
     pub lung: (i16, i16),
     /// Smoothed voxel value above which a voxel cannot be lumen.
     pub brightest: i16,
-    /// Smallest rise of the values from a lumen to its wall that counts, whatever the noise of this lung.
+    /// Minimum rise in value from a lumen to its wall, used if the threshold from the noise of this lung is lower.
     pub least_rise: f64,
-    /// Longest part of a path through voxels that walls enclose less, mm; a path with a longer part is not followed.
+    /// Maximum length of a part of a path whose voxels have too little wall round them, mm; a path with a longer part
+    /// is rejected.
     pub gap_mm: f64,
     /// Smallest length by which a path must lead out of the known lumen, mm.
     pub min_length_mm: f64,
-    /// Factor by which the enclosure threshold computed from the volume's lung is multiplied; normally 1.
+    /// Factor of the enclosure threshold that is computed from the volume's lung; normally 1.
     pub raised: f64,
     /// Largest share of the lung that the search may reach before it is cancelled.
     pub most_reached: f64,
-    /// Smallest probability, that a path and all its ancestors are airways, at which the path is added to the tree.
+    /// Minimum probability that a path and all paths from which it branches are airways; a less probable path is not
+    /// added.
     pub least_probability: f64,
-    /// Division of thick slices into thinner ones before the search; `None` if the voxels have the size of the CT's.
+    /// Division of thick slices into thinner ones before the search; `None` if the volume has the slices of the CT.
     pub divided: Option<Divided>,
 }
 
 impl ExtensionLimits {
-    /// Whether a way of this probability may be open on one side.
+    /// Return whether a path of this probability is accepted even if one of its sides has no wall.
     ///
     /// Thick slices blur the wall above and below an airway more than the wall beside it. In divided slices a missing
     /// wall is therefore no proof of a groove between a vessel and an airway.
@@ -38,56 +41,58 @@ impl ExtensionLimits {
     }
 }
 
-/// Parameters for judging paths in a volume of divided thick slices.
+/// Parameters with which paths are judged in a volume whose thick slices were divided.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Divided {
-    /// Axis of the grid across the slices.
+    /// Grid axis (0, 1 or 2) perpendicular to the slices.
     pub axis: usize,
     /// Thickness of the slices before they were divided, mm.
     pub slice_mm: f64,
-    /// Log-odds of a section above which it counts in favour of a path.
+    /// Log-odds above which a cross-section of a path counts in favour of an airway.
     pub least_odds: f64,
 }
 
-/// Airway that was followed beyond the end of the flood.
+/// Small airway beyond the lumen of the flood, with the probability that it is real.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Followed {
     /// Voxels of the airway's centreline, from the lumen outwards.
     pub voxels: Vec<u32>,
     /// Length of the airway's centreline, mm.
     pub length_mm: f64,
-    /// Probability that this path and all its ancestors are airways.
+    /// Probability that this path and all paths from which it branches are airways.
     ///
     /// The value is 1 for the thinnest airways, which are accepted by the tube filter instead.
     pub probability: f64,
-    /// Mean rise to the wall divided by the threshold from the lung (a value of 1 equals the most enclosed fiftieth of
-    /// the lung).
+    /// Mean rise in value to the wall, divided by the threshold from the lung (the most enclosed 2 % of the lung have 1
+    /// or more).
     pub contrast: f64,
 }
 
-/// Mark of a voxel in the lumen that the flood found.
+/// State of a voxel in the lumen that the flood found.
 pub(crate) const LUMEN: u8 = 1;
-/// Mark of a voxel that the extension adds to the lumen.
+/// State of a voxel that this search adds to the lumen.
 pub const EXTENDED: u8 = 2;
-/// Mark of a voxel that the search has reached and that is not part of the lumen yet.
+/// State of a voxel that the search has reached and that is not part of the lumen yet.
 pub(crate) const PENDING: u8 = 3;
-/// Mark of a voxel that is too bright or too little enclosed by walls to be reached.
+/// State of a voxel that is too bright or has too little wall round it to be reached.
 pub(crate) const REFUSED: u8 = 4;
 
-/// Share of the lung's voxels that walls enclose less than the voxels that a path may follow.
+/// Share of the lung's voxels that are less enclosed by walls than each voxel of a path must be.
 const FOLLOWED_SHARE: f64 = 0.98;
-/// Share of the lung's voxels that walls enclose less than an accepted path does on average.
+/// Share of the lung's voxels that are less enclosed by walls than the voxels of an accepted path are on average.
 const ACCEPTED_SHARE: f64 = 0.995;
 
-/// Largest fall of the values along a path, in thresholds.
+/// Maximum fall in value along a path, as a multiple of the enclosure threshold.
 ///
 /// Along an airway the values rise, because its lumen narrows and the blur of its wall increases. A path whose values
 /// rise and fall again by more than this has crossed a wall into the lung.
 const DROP: f64 = 8.0;
-/// Lower limit of `drop`, as a fraction of the step from air to half of a wall, for volumes with little noise.
+/// Lower limit of `Levels::drop`, as a fraction of the difference between the brightest lumen and air.
+///
+/// It applies in volumes with little noise.
 const MIN_DROP: f64 = 0.4;
 
-/// Smallest enclosure of a voxel in a gap of a path, as a fraction of the threshold for followed voxels.
+/// Minimum enclosure of a voxel in a gap of a path, as a fraction of the threshold for other voxels of the path.
 const GAP_SHARE: f64 = 0.3;
 
 /// Probability from which a path in divided slices is accepted although one side has no wall.
@@ -99,10 +104,10 @@ pub(crate) struct Levels {
     pub(crate) followed: i16,
     pub(crate) accepted: f64,
     pub(crate) gap: i16,
-    /// Largest fall of the values along a path after a rise; a path with a larger fall has crossed a wall.
+    /// Maximum fall in value along a path after a rise; a path with a larger fall has crossed a wall.
     pub(crate) drop: f64,
-    /// Number of reached voxels above which the search is cancelled; airways beyond the flood are a small part of the
-    /// lung.
+    /// Maximum number of reached voxels; the search is cancelled above it, because airways beyond the flood are a small
+    /// part of the lung.
     pub(crate) most_reached: usize,
 }
 
@@ -144,7 +149,7 @@ pub(crate) const TEST_LIMITS: ExtensionLimits = ExtensionLimits {
     least_probability: 0.7,
     divided: None,
 };
-/// Thick slices of a test volume, which were divided.
+/// Division of the thick slices of a test volume.
 #[cfg(test)]
 pub(crate) const TEST_DIVIDED: Divided = Divided {
     axis: 2,

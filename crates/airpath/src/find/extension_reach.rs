@@ -1,4 +1,4 @@
-//! Search for enclosed voxels from the lumen's surface, and selection of those that lie behind no wall.
+//! Search for voxels enclosed by walls, from the lumen's surface outwards, without crossing a wall.
 
 use std::cmp::Reverse;
 use std::collections::{BinaryHeap, HashMap};
@@ -14,13 +14,14 @@ use carina_leastcost::{TrackError, Watch};
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Node {
     pub(crate) voxel: u32,
-    /// Enclosure of the voxel: rise of the values to its wall.
+    /// Enclosure of the voxel: the rise in value to the walls round it.
     pub(crate) rise: i16,
-    /// Length in mm of the last part of the path to this voxel in which the voxels have too little wall.
+    /// Length in mm of the last part of the path to this voxel whose voxels have too little wall round them.
     gap_mm: f32,
 }
 
-/// Return all voxels that can be reached from the lumen's surface through enclosed voxels, in the order of the search.
+/// Return all voxels that can be reached from the lumen's surface through voxels enclosed by walls, in the order of the
+/// search.
 ///
 /// The search ends early if it reaches more than [`Levels::most_reached`] voxels, because it has then leaked into the
 /// lung.
@@ -97,7 +98,7 @@ pub(crate) fn reach(
     Ok(nodes)
 }
 
-/// Memory offsets of the six face neighbours of a voxel, and their distances.
+/// Memory offsets of the six face neighbours of a voxel, and the distances to them in mm.
 pub(crate) struct Faces {
     shape: [usize; 3],
     step_mm: [f32; 3],
@@ -136,7 +137,7 @@ impl Faces {
     }
 }
 
-/// Return for each reached voxel whether a path leads to it along which the values never fall by more than
+/// Return for each reached voxel whether a path to it exists along which the values never fall by more than
 /// [`Levels::drop`].
 ///
 /// Each voxel is reached by the path with the lowest maximum value (a minimax path); a larger fall after that maximum

@@ -1,4 +1,4 @@
-//! Tests of the extension of the lumen on drawn tubes.
+//! Tests of the search for small airways beyond the flood, on drawn tubes.
 //!
 //! The extension follows a faint tube and crosses a short gap, but enters neither the lung nor a groove.
 
@@ -28,8 +28,8 @@ struct Drawn {
     lumen: Vec<u8>,
 }
 
-/// Draw lung with noise and a wide dark tube along x, which is in the known lumen up to `known_mm` and continues thin
-/// and faint up to `ends_mm`.
+/// Draw noisy lung with a wide dark tube along x up to `known_mm`, which is the known lumen, and a thin faint tube from
+/// there up to `ends_mm`.
 ///
 /// `dimmed` is the factor of the wall's brightness at a position.
 fn drawn(noise_hu: f64, known_mm: f64, ends_mm: f64, dimmed: impl Fn([f64; 3]) -> f64) -> Drawn {

@@ -1,20 +1,20 @@
-//! Criteria by which a section across a path, and a whole path, count as airway.
+//! Criteria by which a cross-section of a path, and a whole path, count as airway.
 
 use carina_grid::Grid;
 
 use crate::find::extension_levels::{Divided, ExtensionLimits};
 use crate::find::tubeness::Section;
 
-/// Blur (sigma) in mm of a scanner with a smooth kernel, in a CT that was interpolated once.
+/// Blur (sigma) in mm of a scanner with a smooth kernel, in a CT that was interpolated once between voxels.
 const SCANNER_BLUR_MM: f64 = 0.75;
-/// Radius, in multiples of the blur's sigma, below which a section shows the blur and not the radius of its lumen.
+/// Radius, as a multiple of the blur's sigma, below which the measured radius of a lumen is that of the blur.
 ///
 /// The required darkness of the lumen then cannot be computed.
 const BLURRED: f64 = 0.75;
-/// Smallest share of the sides of a section that must have a wall; a fork leaves a quarter of the sides open.
+/// Minimum share of the sides of a cross-section that must have a wall; a fork leaves a quarter of the sides open.
 const MIN_WALLED: f64 = 0.7;
 
-/// Weights of the products of pairs of the seven features of a section ([`log_odds`]), as a triangular matrix.
+/// Weights of the products of pairs of the seven features of a cross-section ([`log_odds`]), as a triangular matrix.
 const WEIGHTS: [&[f64]; 7] = [
     &[-8.55, 0.68, 3.23, 0.45, -0.63, 3.90, -0.58],
     &[0.44, 2.72, 0.21, 1.43, -4.59, -2.21],
@@ -24,18 +24,17 @@ const WEIGHTS: [&[f64]; 7] = [
     &[-7.69, 3.79],
     &[-1.98],
 ];
-/// Weights of the five features of a whole path, in a volume whose slices were not divided.
+/// Weights of the five features of a whole path in the logistic model of its probability, without divided slices.
 ///
 /// The features are: 1; logarithm of the evidence of its sections; distance from other lumens (mm); share of the
 /// surrounding lung that the search reached; straightness (distance of the path's ends divided by its length).
 pub(crate) const WAY_WEIGHTS: [f64; 5] = [-8.23, 1.09, 0.57, -8.62, 6.44];
-/// Weights of the features of [`WAY_WEIGHTS`] in divided slices, where the evidence is the sum of the sections'
-/// log-odds.
+/// Weights as in [`WAY_WEIGHTS`] for divided slices, where the evidence is the sum of the sections' log-odds.
 pub(crate) const WAY_WEIGHTS_DIVIDED: [f64; 5] = [-7.64, 1.03, 0.61, -2.82, 3.95];
 
-/// Blur (sigma) within the slices, mm.
+/// Blur (sigma) of a CT within its slices, mm.
 const BLUR_IN_SLICE_MM: f64 = 0.65;
-/// Smallest blur (sigma) across the slices, mm, that the judgement of a path assumes.
+/// Minimum blur (sigma) of a CT across its slices, mm, with which paths are judged.
 const MIN_BLUR_ACROSS_MM: f64 = 0.5;
 
 /// Blur and noise by which the values of a lumen in the volume differ from its true values.
@@ -58,7 +57,7 @@ impl Blur {
     }
 }
 
-/// Return the log-odds that a section of a path in divided slices belongs to an airway (docs/decisions/0114).
+/// Return the log-odds that a cross-section of a path in divided slices belongs to an airway (docs/decisions/0114).
 ///
 /// Thick slices blur in one direction, so the expected darkness of a lumen depends on the direction of its airway. The
 /// features are: 1; the enclosure (logarithm, in thresholds); the brightness of the middle between air and the wall,
@@ -97,7 +96,7 @@ pub(crate) fn log_odds(
         .sum()
 }
 
-/// Return the probability that a path is an airway, on condition that the airway from which it branches is one.
+/// Return the probability that a path is an airway, given that the airway from which it branches is one.
 ///
 /// `figures` are the features that [`WAY_WEIGHTS`] describes.
 pub(crate) fn probability_of_way(figures: [f64; 5], weights: &[f64; 5]) -> f64 {
@@ -114,7 +113,7 @@ fn share_of_wall(section: &Section, own: f64, air: f64) -> f64 {
     }
 }
 
-/// Return the radius of a section in mm, limited to the range to which the weights were fitted.
+/// Return the radius in mm of a section's lumen, limited to the range to which the weights were fitted.
 fn radius_of(section: &Section) -> f64 {
     section.radius_mm.clamp(0.4, 2.2)
 }
@@ -132,7 +131,7 @@ fn log_blur_ratio(section: &Section, own: f64, along: f64, air: f64, divided: Di
         .ln()
 }
 
-/// Return true if a section has wall on most sides and a middle as dark as that of a lumen of its width.
+/// Return true if a section has wall on most sides and its middle is as dark as the lumen of an airway of its width.
 ///
 /// Blur leaves `exp(-r^2 / 2 s^2)` of the wall's brightness in the middle of a tube of radius r. A wide tube is as dark
 /// as the trachea. A groove between a vessel and an airway's wall is as wide, but as bright as lung.

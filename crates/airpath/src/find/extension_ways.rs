@@ -1,4 +1,4 @@
-//! Least-cost paths from the lumen through the reached voxels, and the lumen round the accepted paths.
+//! Least-cost paths from the lumen through the reached voxels, and the lumen round the paths that count as airways.
 
 use std::cmp::Reverse;
 use std::collections::{BinaryHeap, HashMap};
@@ -14,29 +14,31 @@ use crate::find::thin_profile::Profile;
 use crate::find::tubeness::{REACH_MM, Section, section};
 use carina_leastcost::{TrackError, Watch};
 
-/// Mark of a node without a previous node: it touches the lumen, or no path leads to it.
+/// Value of a node without a previous node: the node touches the lumen, or no path leads to it.
 const NONE: u32 = u32::MAX;
-/// Distance from a path, through enclosed voxels, up to which voxels belong to the tube of the path, mm.
+/// Distance from a path, through voxels enclosed by walls, up to which voxels belong to the tube of the path, mm.
 const COVER_MM: f32 = 3.0;
-/// Largest distance of a lumen voxel from its path, in radii of the lumen; measured from face to face, round corners.
+/// Maximum distance of an added lumen voxel from its path, as a multiple of the lumen's radius, along steps between
+/// face neighbours.
 const FILL_RADII: f64 = 1.5;
-/// Number of voxels of the path on each side over which the level half-way up the wall is averaged by the median.
+/// Number of path voxels on each side over whose median the level half-way up the wall is smoothed.
 const FILL_NODES: usize = 2;
 /// Length of path on each side of a voxel over which the path's direction is measured, mm.
 const TANGENT_MM: f64 = 2.0;
-/// Length of the first part of a path that is ignored when its distance from known lumens is measured, mm.
+/// Length of the first part of a path whose distance from known lumens is ignored, mm.
 ///
 /// This part is beside the airway from which the path branches.
 const BEYOND_MM: f64 = 5.0;
 /// Upper limit of the measured distance of a path from known lumens, mm.
 const CLEAR_MM: f64 = 6.0;
-/// Radius round a path in which the share of reached lung voxels is measured, mm.
+/// Radius round a path of the region in which the share of reached lung voxels is measured, mm.
 const AROUND_MM: f64 = 8.0;
-/// Largest gain of a path by one voxel, in thresholds of the enclosure.
+/// Maximum gain of a path by one voxel, as a multiple of the enclosure threshold.
 ///
 /// The limit prevents that one bright wall compensates for a long part without wall.
 const MAX_GAIN: f64 = 3.0;
-/// Largest fall of a path's gain below its maximum in divided slices, in thresholds of the enclosure times mm.
+/// Maximum fall of a path's gain below its maximum in divided slices, as a multiple of the enclosure threshold times
+/// mm.
 ///
 /// A path ends after a larger fall. The gain is the sum of the evidence of its voxels, which is negative in lung.
 /// An airway farther on does not belong to this path (docs/decisions/0112).
@@ -73,7 +75,7 @@ impl Path {
     }
 }
 
-/// Section across a path at one of its voxels, and the direction of the path at that voxel.
+/// Cross-section of a path at one of its voxels, and the direction of the path there.
 struct WaySection {
     /// Direction of the path, a unit vector in mm on the grid's axes.
     along: [f64; 3],
@@ -84,8 +86,7 @@ struct WaySection {
 pub(crate) struct Search<'a> {
     values: VolumeView<'a, i16>,
     smooth: VolumeView<'a, i16>,
-    /// Lumen, with the marks that the search has set in it.
-    /// State of each voxel of the volume, such as [`LUMEN`] or [`PENDING`].
+    /// State of each voxel of the volume: [`LUMEN`], [`EXTENDED`], [`PENDING`], [`REFUSED`], or 0 for any other.
     states: &'a [u8],
     faces: Faces,
     reached: &'a [Node],
@@ -210,8 +211,8 @@ impl<'a> Search<'a> {
         Ok(paths)
     }
 
-    /// Return the first part of a path, up to the voxel with the largest sum of gains, if that part qualifies as an
-    /// airway.
+    /// Return the part of a path from its start to the voxel with the largest sum of gains; `None` if this part does
+    /// not qualify as an airway.
     ///
     /// In divided slices the sections are first assessed by their log-odds, which require much evidence, and otherwise
     /// in the way that applies to undivided slices.
@@ -309,7 +310,7 @@ impl<'a> Search<'a> {
         })
     }
 
-    /// Return the probability that a path is an airway, on condition that the airway from which it branches is one.
+    /// Return the probability that a path is an airway, given that the airway from which it branches is one.
     ///
     /// The probability is computed from features of the whole path ([`WAY_WEIGHTS`]).
     fn way_probability(
@@ -403,7 +404,7 @@ impl<'a> Search<'a> {
         Profile::of_path(self.values, &voxels).is_none_or(|profile| profile.is_round())
     }
 
-    /// Return the length of a path in mm without its zigzag between voxels.
+    /// Return the length of a path in mm, measured without its zigzag between voxels.
     ///
     /// The length is measured between positions that are about one slice apart.
     fn straight_mm(&self, way: &[u32]) -> f64 {
@@ -448,7 +449,7 @@ impl<'a> Search<'a> {
             .collect()
     }
 
-    /// Mark the voxels in the tube round a path, so that no further path ends in this tube.
+    /// Mark the voxels in the tube round a path, in which no other path may end.
     fn cover(&self, way: &[u32], covered: &mut [bool]) {
         let mut left: HashMap<u32, f32> = way.iter().map(|n| (*n, COVER_MM)).collect();
         let mut open: Vec<u32> = way.to_vec();

@@ -1,4 +1,5 @@
-//! Automatic lumen: a flood with rising level from the trachea, with a limit on leaks (docs/algorithms.md).
+//! Flood of the lumen from the trachea with a rising threshold of the voxel values, and detection of leaks
+//! (docs/algorithms.md).
 //!
 //! The level rises one unit (HU) at a time. A voxel joins if its value is at most the level and it touches the lumen by
 //! a face; the voxels that become reachable through it at the same level join with it. These voxels are the *basin*
@@ -15,22 +16,22 @@ use carina_grid::{Grid, VolumeView};
 
 use carina_leastcost::{TrackError, Watch};
 
-/// Levels and sizes that limit a flood of the airways.
+/// Thresholds (voxel values) and sizes that limit a flood of the airways.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct FloodLimits {
-    /// Level at which the flood starts; all voxels up to this level that are connected with the seeds are lumen.
+    /// Threshold at which the flood starts; all voxels up to it that are connected with the seeds are lumen.
     pub first_level: i16,
-    /// Upper limit of tracheal air and its noise; above this level the surroundings of basins are tested.
+    /// Maximum value of tracheal air with its noise; above this threshold the flood also tests what surrounds a basin.
     pub core_level: i16,
-    /// Voxel level at which the flood ends, half-way between lumen and wall.
+    /// Threshold at which the flood ends, half-way between lumen and wall.
     pub last_level: i16,
-    /// Largest volume of a basin up to the core level, mm^3; a larger basin is a leak.
+    /// Maximum volume in mm^3 of a basin (connected dark region) up to the core level; a larger basin is a leak.
     pub leak_mm3: f64,
-    /// Largest volume of a basin above the core level, mm^3; a larger basin is a leak.
+    /// Maximum volume in mm^3 of a basin (connected dark region) above the core level; a larger basin is a leak.
     pub small_leak_mm3: f64,
-    /// Radius of the ball round the entry of a leak that stays closed, mm.
+    /// Radius of the ball round the entry of a leak that the flood no longer enters, mm.
     pub closed_radius_mm: f64,
-    /// Smallest mean difference between the values round a basin and the level; required above the core level only.
+    /// Minimum mean difference between the values round a basin and the threshold, required above the core level only.
     pub min_contrast: f64,
 }
 
@@ -41,7 +42,7 @@ pub struct Flood {
     pub lumen: Vec<u8>,
     /// Number of voxels in the lumen that the flood found.
     pub num_voxels: usize,
-    /// Voxel at which each closed leak left the airways, and the level at which it did.
+    /// Voxel at which each closed leak left the airways, and the threshold at that time.
     pub leaks: Vec<([usize; 3], i16)>,
     /// Number of basins (connected dark regions) that were rejected because they have no wall around them.
     pub num_without_wall: usize,
@@ -51,7 +52,7 @@ pub struct Flood {
 const UNKNOWN: u8 = 0;
 /// State of a voxel in the lumen.
 const LUMEN: u8 = 1;
-/// State of a voxel that was above the level when the flood met it and that is listed under its own level.
+/// State of a voxel whose value was above the threshold when the flood met it; the voxel is in the list of its value.
 const WAITING: u8 = 2;
 /// State of a voxel that the flood never enters, because it is part of a leak.
 const CLOSED: u8 = 3;
@@ -91,7 +92,7 @@ struct Rising<'a> {
     values: VolumeView<'a, i16>,
     limits: &'a FloodLimits,
     state: Vec<u8>,
-    /// Waiting voxels, one list for each level from the first level on.
+    /// Voxels whose value was above the threshold, one list for each value from the first threshold on.
     waiting: Vec<Vec<u32>>,
     leak_vox: usize,
     small_leak_vox: usize,
@@ -147,7 +148,8 @@ impl<'a> Rising<'a> {
         Ok(())
     }
 
-    /// Open one waiting voxel: add its basin to the lumen, or reject the basin as a leak or as lung without wall.
+    /// Add the basin (connected dark region) of one waiting voxel to the lumen, or reject it as a leak or as lung
+    /// without wall.
     fn open(&mut self, entry: u32, level: i16, watch: &impl Watch) -> Result<(), TrackError> {
         let limit = if level > self.limits.core_level {
             self.small_leak_vox

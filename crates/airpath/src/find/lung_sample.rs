@@ -1,12 +1,13 @@
-//! Evenly distributed sample of the lung, from which the searches for small airways read their thresholds.
+//! Evenly distributed sample of the lung's voxels, from which the searches for small airways compute their thresholds.
 
 use rayon::prelude::*;
 
-/// Largest number of sampled voxels whose surroundings are measured, which limits the time.
+/// Maximum number of sampled voxels whose surroundings are measured, which limits the time.
 const MAX_MEASURED: usize = 20_000;
-/// Number of sampled voxels below which no quantile is read, so that the search has no threshold.
+/// Minimum number of sampled voxels for a quantile; with fewer, the search has no threshold.
 const MIN_SAMPLES: usize = 2_000;
-/// Strides of the sample, largest first. They are primes, so that they have no factor in common with rows and slices.
+/// Distances between sampled voxels in memory, largest first. They are primes, with no factor in common with rows and
+/// slices.
 const STRIDES: [usize; 6] = [1009, 499, 251, 127, 61, 31];
 
 /// Sample of the voxels of the lung.
@@ -43,7 +44,8 @@ impl LungSample {
         self.voxels.len() >= MIN_SAMPLES
     }
 
-    /// Return the number of voxels that are a share of the lung; the largest number if the sample is too small.
+    /// Return `share` times the number of the lung's voxels, as estimated from the sample; `usize::MAX` if the sample
+    /// is too small.
     pub(crate) fn num_voxels(&self, share: f64) -> usize {
         if self.is_sufficient() {
             (share * self.voxels.len() as f64 * self.stride as f64) as usize
@@ -52,7 +54,8 @@ impl LungSample {
         }
     }
 
-    /// Measure sampled voxels; return the results in ascending order, none if the sample is too small.
+    /// Apply `measure` to the sampled voxels; return the results in ascending order, or none if the sample is too
+    /// small.
     pub(crate) fn measured(&self, measure: impl Fn(usize) -> i16 + Sync) -> Vec<i16> {
         if !self.is_sufficient() {
             return Vec::new();

@@ -4,9 +4,9 @@ use carina_grid::{Ijk, VolumeView, length};
 
 use crate::find::spots::{AirLevels, transverse_axis};
 
-/// Smallest area of lung on each side of the carina in one slice, mm2; bowel has less than half of it.
+/// Minimum area of lung on each side of the carina in one slice, mm2; beside bowel there is less than half of it.
 pub(crate) const MIN_LUNG_MM2: f64 = 800.0;
-/// Largest distances from the carina at which lung is searched, mm: sideways, to front and back, and down.
+/// Maximum distances from the carina at which lung is searched, mm: sideways, to front and back, and down.
 const LUNG_REACH_MM: [f64; 3] = [130.0, 80.0, 45.0];
 
 /// Return the areas of lung on the right and on the left of the carina, at its height or below, mm2.

@@ -11,18 +11,18 @@ pub struct PieceLimits {
     ///
     /// Voxels outside the box do not count as air.
     pub box_ijk: ([usize; 3], [usize; 3]),
-    /// Smallest number of face neighbours, in the lumen or not, with values up to `darkest`; a voxel with fewer is
+    /// Minimum number of a voxel's face neighbours, in the lumen or not, that are as dark as air; a voxel with fewer is
     /// noise.
     pub least_neighbours: usize,
     /// Smallest and largest number of voxels of a listed piece of air.
     pub voxels: (usize, usize),
-    /// Largest number of air voxels in the box; with more, pieces have no meaning and the search returns none.
+    /// Maximum number of air voxels in the box; with more, the search returns no pieces, because they have no meaning.
     pub most_air: usize,
 }
 
-/// Mark of an air voxel of the box.
+/// State of an air voxel of the box that does not touch the lumen.
 const AIR: u8 = 1;
-/// Mark of an air voxel that touches the lumen.
+/// State of an air voxel of the box that touches the lumen.
 const TOUCHES: u8 = 2;
 
 /// Find the face-connected pieces of air that share no face with the lumen (voxels of `lumen` that are not 0).

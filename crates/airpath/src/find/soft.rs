@@ -1,4 +1,4 @@
-//! Approximation of a softer reconstruction kernel: the amplification of fine detail by a sharp kernel is reversed.
+//! Softer copy of a CT: the amplification of fine detail by a sharp reconstruction kernel is approximately reversed.
 
 use carina_grid::VolumeView;
 use rayon::prelude::*;
@@ -6,7 +6,7 @@ use rayon::prelude::*;
 use crate::find::extension_reach::Faces;
 use crate::find::tubeness::{Enclosure, REACH_MM, smoothed};
 
-/// One Gaussian blur of the mixture that [`mixed`] adds.
+/// One of the Gaussian blurs whose weighted sum [`mixed`] computes.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Blur {
     /// Weight of this Gaussian in the sum of Gaussians.
@@ -76,7 +76,7 @@ pub fn mixed(
     out
 }
 
-/// Parameters of the restoration of values that the sharp volume has clipped at its lowest value.
+/// Parameters with which air is restored where the sharp kernel darkened voxels below the lowest value of the CT.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct CutOff {
     /// Lowest voxel value of the sharp volume, at which darker values were clipped.
@@ -85,9 +85,9 @@ pub struct CutOff {
     pub air: i16,
     /// Voxel value of the softened volume up to which a voxel is certainly air.
     pub certain: i16,
-    /// Smallest rise of the values from a clipped lumen to its wall; darker surroundings are not airway.
+    /// Minimum rise in value from a clipped lumen to its wall; a voxel with less rise is not in an airway.
     pub rise: i16,
-    /// Width of the dark seam that a sharp kernel creates inside a wall, mm.
+    /// Width of the dark seam on the lumen side of a wall that a sharp kernel creates, mm.
     pub seam_mm: f64,
 }
 
@@ -164,7 +164,7 @@ pub fn keep_cut_off_air(sharp: VolumeView<'_, i16>, soft: &mut [i16], cut: &CutO
     clipped_air.len()
 }
 
-/// Buffers in which one thread blurs one slice.
+/// Buffers in which one thread blurs one slice along its two axes.
 struct SliceBuffers {
     shape: [usize; 2],
     sum: Vec<f32>,

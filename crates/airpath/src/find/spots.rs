@@ -1,5 +1,5 @@
-//! Spots of air in the slices of a chest, and chains of successive spots, which are candidates for a trachea or a
-//! bronchus.
+//! Spots of air in the slices of a chest, and chains of spots in successive slices, which are candidates for trachea
+//! and bronchi.
 
 use carina_grid::{Grid, Ijk, VolumeView, length};
 
@@ -23,19 +23,19 @@ pub(crate) struct Spot {
     pub(crate) centre_lps: [f64; 3],
     pub(crate) area_mm2: f64,
     elongation: f64,
-    /// Share of the directions from the spot in which soft tissue follows the air.
+    /// Share of the directions within the slice in which soft tissue follows the spot's air, 0 to 1.
     pub(crate) ringed: f64,
-    /// Cells of the spot in the slice, as indices in ascending order.
+    /// Pixels of the spot in its slice, as indices in ascending order.
     cells: Vec<u32>,
-    /// Index of the spot's middle cell, that of `voxel`.
+    /// Index of the spot's middle pixel, which is also `voxel`.
     middle: u32,
 }
 
 /// Number of directions in a slice in which tissue is searched round a spot of air.
 const NUM_DIRECTIONS: usize = 24;
-/// Area in mm2 below which a spot of air is no candidate for an airway.
+/// Minimum area in mm2 of a spot of air that may be an airway.
 const MIN_AREA_MM2: f64 = 12.0;
-/// Area in mm2 above which a spot of air is no candidate for an airway.
+/// Maximum area in mm2 of a spot of air that may be an airway.
 const MAX_AREA_MM2: f64 = 900.0;
 
 impl Spot {
@@ -185,7 +185,7 @@ pub(crate) fn spots_of_air(
     spots
 }
 
-/// Return the share of directions in which tissue follows within 4 mm of the edge of the air.
+/// Return the share of directions, 0 to 1, in which tissue follows within 4 mm of the edge of the spot's air.
 ///
 /// Only the first 30 mm from the centre are examined.
 fn ringed_share(
@@ -225,7 +225,7 @@ fn ringed_share(
     f64::from(num_ringed) / NUM_DIRECTIONS as f64
 }
 
-/// Spots of successive slices that overlap or are near, from slice `first` down.
+/// Spots in successive slices, from slice `first` down, each overlapping or near the next.
 #[derive(Debug)]
 pub(crate) struct Chain {
     pub(crate) first: usize,

@@ -1,4 +1,4 @@
-//! Thinnest airways: search from the lumen along bright threads with a dark middle (docs/decisions/0112).
+//! Third step of the search: the thinnest airways, seen as bright lines with a dark middle (docs/decisions/0112).
 //!
 //! An airway of one or two voxels is brighter than lung throughout, and its middle is darker than its wall by less than
 //! the noise. Its evidence is distributed along it, so the search is along paths: a filter of short straight pieces
@@ -25,42 +25,46 @@ pub struct ThinLimits {
     pub lung: (i16, i16),
     /// Smoothed voxel value above which a voxel cannot be lumen.
     pub brightest: i16,
-    /// Smallest voxel value of an airway's wall, which is brighter than lung.
+    /// Minimum voxel value of an airway's wall, which is brighter than lung.
     pub least_wall: f64,
-    /// Smallest dip of the voxels of a path; a larger threshold from the lung replaces it.
+    /// Minimum dip (rise in value from the middle of a thin tube to its second darkest side) of a path's voxels, if the
+    /// lung's threshold is lower.
     pub least_dip: f64,
-    /// Mean dip along an airway below which the airway is dropped.
+    /// Minimum mean dip along an airway (rise in value from its middle to its second darkest side); other airways are
+    /// dropped.
     pub kept_dip: f64,
     /// Upper limit of the blur of the CT (sigma), mm.
     pub blur_mm: f64,
-    /// Length in mm below which a path that continues the end of an airway is dropped.
+    /// Minimum length in mm of a path that continues the end of an airway.
     pub min_length_mm: f64,
-    /// Smallest length of an airway that leaves from the side of another, mm.
+    /// Minimum length in mm of an airway that leaves from the side of another.
     ///
     /// Shorter paths there are strips of lung enclosed by vessels.
     pub min_side_mm: f64,
-    /// Largest share of the lung that the search may reach before it is cancelled.
+    /// Maximum share of the lung's voxels that the search may reach; above it the search is cancelled.
     pub most_reached: f64,
 }
 
 /// Result of the search for thin airways.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Thin {
-    /// Airways; an airway comes before those that leave it.
+    /// Accepted airways; an airway comes before those that branch off it.
     pub followed: Vec<Followed>,
-    /// Number of voxels that the search reached, before it judged any path.
+    /// Number of voxels that the search reached, in accepted and in rejected paths.
     pub num_reached: usize,
-    /// Whether the search reached more of the lung than airways can: nothing was added.
+    /// Whether the search was cancelled because it reached more of the lung than airways can occupy; then it added
+    /// nothing.
     pub ran_out: bool,
 }
 
-/// Share of the lung's voxels whose dip is smaller than that of the voxels that a path may follow.
+/// Share of the lung's voxels whose dip (rise in value from a tube's middle to its sides) is smaller than that of a
+/// path's voxels.
 const FOLLOWED_SHARE: f64 = 0.985;
 /// Distance in mm from an accepted path within which no other path may end.
 const COVER_MM: f32 = 2.0;
 /// Distance in mm from a rejected path within which no other path may end.
 const COVER_REFUSED_MM: f32 = 1.0;
-/// Largest gain of a path by one voxel, in thresholds.
+/// Maximum gain of a path by one voxel, as a multiple of the dip threshold.
 ///
 /// A path without a positive gain is not examined further.
 const MAX_GAIN: f64 = 1.5;
@@ -73,12 +77,14 @@ const MAX_RADIUS_MM: f64 = 1.0;
 const NUM_START: usize = 7;
 /// Distances behind the start of a path at which there must be lumen, mm.
 const BEHIND_MM: [f64; 2] = [1.2, 2.4];
-/// Distance to the side of the places behind the start at which voxels are examined for lumen, mm.
+/// Distance to the side, mm, of the positions behind a path's start at which voxels are examined for lumen.
 const BESIDE_MM: f64 = 2.0;
-/// Number of the 8 examined sides with lumen above which a path leaves an airway's side and does not continue its end.
+/// Maximum number of the 8 examined sides with lumen behind a path that continues an airway's end; with more, the path
+/// leaves an airway's side.
 const MAX_BESIDE: usize = 3;
 
-/// Follow thin airways from `lumen` (1 inside, 0 outside) in place: added voxels get [`EXTENDED`].
+/// Add thin airways that start at `lumen` (1 inside, 0 outside) to it in place; added voxels get the value
+/// [`EXTENDED`].
 ///
 /// # Errors
 ///
@@ -161,7 +167,7 @@ pub fn extend_thin(
     })
 }
 
-/// Return the median value of lung in the sample.
+/// Return the median value of the sampled lung voxels.
 fn median_lung(sample: &[usize], smooth: &[i16], limits: &ThinLimits) -> f64 {
     let mut values: Vec<i16> = sample.iter().map(|at| smooth[*at]).collect();
     values.sort_unstable();
@@ -171,14 +177,14 @@ fn median_lung(sample: &[usize], smooth: &[i16], limits: &ThinLimits) -> f64 {
         .map_or(middle, |value| f64::from(*value))
 }
 
-/// Accepted path along a thin airway: its voxels, its positions and its mean dip.
+/// Accepted path along a thin airway: its voxels, its positions and its mean dip (rise in value from middle to sides).
 struct AcceptedPath {
     voxels: Vec<u32>,
     places: Vec<Place>,
     mean_dip: f64,
 }
 
-/// Examine the paths to all tips, the farthest first; return the accepted parts.
+/// Examine the paths to all tips, the farthest tip first; return the parts that qualify as airways.
 fn accepted_paths(
     values: VolumeView<'_, i16>,
     reached: &Reached,
@@ -287,7 +293,7 @@ fn may_be_accepted(reached: &Reached, way: &[u32], dip_threshold: f64) -> bool {
     })
 }
 
-/// Mark the voxels in the tube round a path.
+/// Mark the voxels in the tube round a path, in which no other path may end.
 fn cover(reached: &Reached, way: &[u32], reach_mm: f32, covered: &mut [bool]) {
     let mut left: std::collections::HashMap<u32, f32> =
         way.iter().map(|n| (*n, reach_mm)).collect();
@@ -305,7 +311,7 @@ fn cover(reached: &Reached, way: &[u32], reach_mm: f32, covered: &mut [bool]) {
     }
 }
 
-/// Add a path's voxels to the lumen, connected by faces, and the voxels beside the path that are darker than half-way
+/// Add a path's voxels, connected by faces, to the lumen, and the voxels beside the path that are darker than half-way
 /// up the wall.
 fn fill(values: VolumeView<'_, i16>, lumen: &mut [u8], way: &AcceptedPath) {
     let grid = values.grid();
@@ -365,7 +371,7 @@ fn fill(values: VolumeView<'_, i16>, lumen: &mut [u8], way: &AcceptedPath) {
     }
 }
 
-/// Return a voxel of the lumen beside a voxel: first by faces, then by edges, then by corners.
+/// Return a lumen voxel adjacent to a voxel: one that shares a face if there is one, else an edge, else a corner.
 fn adjacent_lumen_voxel(lumen: &[u8], voxel: [usize; 3], shape: [usize; 3]) -> Option<[usize; 3]> {
     (0..27isize)
         .map(|n| [n % 3 - 1, n / 3 % 3 - 1, n / 9 - 1])

@@ -1,4 +1,4 @@
-//! Search for voxels of thin airways from the lumen outwards, and the least-cost paths through these voxels.
+//! Search for voxels of thin airways from the lumen outwards, and least-cost paths through these voxels.
 //!
 //! The *dip* of a voxel is the output of the tube filter ([`crate::find::tube_filter`]): the rise from the middle of a
 //! thin tube to its sides. The *allowance* of a path is the length in mm that it may still pass through voxels without
@@ -11,15 +11,15 @@ use rayon::prelude::*;
 use crate::find::extension_levels::LUMEN;
 use crate::find::tube_filter::{BLOCK, TubeFilter};
 
-/// Allowance of a path that leaves the lumen, mm.
+/// Allowance in mm, the length without a dip that a path may still have, at the start of a path.
 const FIRST_MM: f32 = 1.0;
-/// Largest allowance of a path, mm; each mm without a dip uses up `PRICE` mm of the allowance.
+/// Maximum allowance of a path, mm; each mm of path without a dip (dark middle) reduces the allowance by `PRICE` mm.
 const MAX_MM: f32 = 4.0;
-/// Change of the allowance per mm of path, as a factor of (dip divided by the threshold, minus 1).
+/// Change of a path's allowance per mm of path, divided by (the dip as a multiple of its threshold, minus 1).
 const PRICE: f32 = 2.0;
-/// Limit of the increase of a path's allowance per mm, also through voxels with a deep dip.
+/// Maximum increase of a path's allowance per mm of path, in mm.
 const MAX_GAIN: f32 = 0.5;
-/// Smallest increase of a voxel's allowance, in mm, for which the search visits the voxel again.
+/// Minimum increase of a voxel's allowance, in mm, for which the search visits the voxel again.
 const BETTER_MM: f32 = 0.05;
 
 /// Voxel that the search has reached from the lumen.
@@ -27,7 +27,7 @@ const BETTER_MM: f32 = 0.05;
 pub(crate) struct Node {
     pub(crate) voxel: u32,
     pub(crate) dip: i16,
-    /// Allowance of the best path to this voxel, mm.
+    /// Largest allowance with which a path reaches this voxel, mm.
     left_mm: f32,
 }
 
@@ -114,7 +114,8 @@ impl Reached {
             });
     }
 
-    /// Compute the least-cost paths from the lumen to all reached voxels; `dip_threshold` is the threshold of the dip.
+    /// Compute the least-cost paths from the lumen to all reached voxels; `dip_threshold` is the minimum dip of an
+    /// airway.
     pub(crate) fn ways(&self, lumen: &[u8], dip_threshold: f64) -> Ways {
         let num = self.nodes.len();
         let mut ways = Ways {
@@ -177,11 +178,11 @@ impl Reached {
 #[derive(Debug, Clone, Copy)]
 struct Found {
     cost: u64,
-    /// Factor of the length of a path at this node, 1 or more.
+    /// Cost of the path per mm at this node, 1 or more.
     weight: f64,
 }
 
-/// Priority queue by cost, divided into buckets.
+/// Priority queue by cost, divided into buckets of nodes with similar cost.
 ///
 /// A bucket is so narrow that every step leads to a later bucket. A bucket that is sorted once therefore stays in
 /// order.
@@ -210,8 +211,8 @@ impl Buckets {
         self.open[bucket].push((cost, node));
     }
 
-    /// Remove and return the bucket with the lowest costs, sorted by cost and node number; `None` if the queue is
-    /// empty.
+    /// Remove and return the bucket with the lowest costs, as pairs (cost, node number) in ascending order; `None` if
+    /// the queue is empty.
     fn pop(&mut self) -> Option<Vec<(u64, u32)>> {
         let ahead = self.open[self.front..].iter().position(|b| !b.is_empty())?;
         self.front += ahead + 1;
@@ -290,7 +291,7 @@ impl Neighbours {
     }
 }
 
-/// Cache of the dips of those voxels that are dark enough for a lumen.
+/// Cache of the dips (rises in value from a tube's middle to its sides) of voxels that are dark enough for a lumen.
 pub(crate) struct Dips<'a> {
     filter: &'a TubeFilter,
     values: &'a [i16],
@@ -298,8 +299,7 @@ pub(crate) struct Dips<'a> {
     /// Smoothed voxel value above which a voxel cannot be lumen.
     brightest: i16,
     simd: InstructionSet,
-    /// Dips in blocks of voxels that are consecutive in memory, because the search soon needs the neighbours of a
-    /// voxel.
+    /// Dips in blocks of voxels that are consecutive in memory; the search soon needs the neighbours of a voxel too.
     known: Vec<[i16; BLOCK]>,
     /// Index of each block in `known`.
     at: VoxelMap,
@@ -352,7 +352,7 @@ impl<'a> Dips<'a> {
     }
 }
 
-/// Voxels that the search visits next, each once.
+/// Set of the voxels that the search visits next.
 #[derive(Debug)]
 struct Wave {
     reached: Vec<(u32, f32)>,
@@ -372,7 +372,7 @@ impl Wave {
         self.reached.is_empty()
     }
 
-    /// Add a voxel with its allowance; a voxel that is already in the list keeps the larger allowance.
+    /// Add a voxel with its allowance in mm; a voxel that is already in the set keeps the larger allowance.
     fn reach(&mut self, voxel: u32, left_mm: f32) {
         if let Some(n) = self.at.get(voxel) {
             let best_mm = &mut self.reached[n as usize].1;
@@ -383,7 +383,7 @@ impl Wave {
         }
     }
 
-    /// Remove and return all voxels in memory order.
+    /// Remove and return all voxels with their allowances, in memory order.
     fn take(&mut self) -> Vec<(u32, f32)> {
         let mut reached = std::mem::take(&mut self.reached);
         for (voxel, _) in &reached {

@@ -14,11 +14,11 @@ pub(crate) const EVERY_MM: f64 = 0.5;
 const NUM_MEAN: usize = 5;
 /// Number of positions on each side over which the zigzag of a path between voxels is smoothed.
 const NUM_SMOOTHED: usize = 2;
-/// Number of positions on each side between which the direction of a path is measured.
+/// Number of positions before and after a position between which the direction of the path is measured.
 const NUM_DIRECTION: usize = 3;
 /// Offsets across a path at which a darker position is searched, mm.
 const OFFSETS_MM: [f64; 2] = [0.25, 0.5];
-/// Number of positions that are compared: the path itself and eight directions for each offset.
+/// Number of compared positions: the path itself and eight directions at each distance of `OFFSETS_MM`.
 const NUM_OFFSETS: usize = 1 + 8 * OFFSETS_MM.len();
 /// Number of rounds in which each position of a path moves to the darkest position near it.
 const NUM_CENTRED: usize = 2;
@@ -26,27 +26,28 @@ const NUM_CENTRED: usize = 2;
 const DISTANCES_MM: [f64; 8] = [0.6, 0.8, 1.0, 1.25, 1.6, 2.1, 2.6, 3.2];
 /// Number of values of `DISTANCES_MM`, from the first, at which the crest of a wall is searched.
 const NUM_CRESTS: usize = 6;
-/// Largest gain of a path by one position, in thresholds of the dip.
+/// Maximum gain of a path by one position, as a multiple of the dip threshold.
 ///
 /// The limit prevents that one bright wall compensates for a long part without wall.
 const MAX_GAIN: f64 = 3.0;
-/// Mean dip of a path, in thresholds of the dip, below which the path is rejected.
+/// Minimum mean dip of an accepted path (rise from its middle to its second darkest side), as a multiple of the dip
+/// threshold.
 const ACCEPTED_MEAN: f64 = 1.2;
-/// Smallest share of the positions of an accepted path that look like an airway.
+/// Minimum share of the positions of an accepted path that look like an airway.
 const ACCEPTED_SHARE: f64 = 0.75;
-/// Largest distance from the middle of a thin airway to the crest of its wall, mm.
+/// Maximum distance from the middle of a thin airway to the crest of its wall, mm.
 const FARTHEST_CREST_MM: f64 = 1.3;
-/// Smallest mean number of the 8 sides with lung behind the wall; an artery is behind the others.
+/// Minimum mean number of the 8 sides of a thin airway with lung behind the wall; the others may have an artery.
 const MIN_THIN: f64 = 4.5;
-/// Standard deviation in mm of the radius along a path above which the path is not a thin airway.
+/// Maximum standard deviation in mm of the radius along the path of a thin airway.
 const STEADY_MM: f64 = 0.06;
 
 /// Number of positions at the start of a path whose brightness is compared with the median of the path.
 const NUM_FIRST: usize = 4;
-/// Largest excess of the first `NUM_FIRST` positions over the median of the path, as a fraction of the wall's rise.
+/// Maximum excess of the first `NUM_FIRST` positions over the median of the path, as a fraction of the wall's rise.
 const OPENNESS: f64 = 0.65;
 
-/// Smallest rise of the second darkest side of a whole path, as a fraction of the rise of the median side.
+/// Minimum rise of the second darkest side of a whole path, as a fraction of the rise of the median side.
 const ROUND_WAY: f64 = 0.4;
 /// Radius in mm above which a CT does not show reliably on how many sides a wall is.
 const WIDE_MM: f64 = 1.3;
@@ -77,7 +78,7 @@ pub(crate) struct Place {
     beyond: [f64; NUM_SIDES],
 }
 
-/// Requirements that a path must meet to be accepted as a thin airway.
+/// Requirements for an accepted path along a thin airway.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Requirements {
     pub(crate) section: ThinSection,
@@ -92,7 +93,8 @@ impl Profile {
         (curve.len() > 1).then(|| Self::along(values, &curve))
     }
 
-    /// Move a path to the darkest positions and compute its profile; return `None` if the path has only one position.
+    /// Move each position of a path to the darkest value near it and compute the profile; return `None` if the path has
+    /// only one position.
     pub(crate) fn centred(values: VolumeView<'_, i16>, voxels: &[u32]) -> Option<Self> {
         let curve = evenly(values, voxels);
         let moved = |curve: Vec<[f64; 3]>, _| centred(&curve, |mm| value_at(values, mm));
@@ -127,7 +129,7 @@ impl Profile {
         Self { places }
     }
 
-    /// Return the number of positions, from the first, that are an airway.
+    /// Return the number of positions, counted from the first, that qualify as an airway.
     ///
     /// This first part of the path is the one with the largest sum of gains. The result is 0 if that part does not
     /// qualify.
@@ -198,7 +200,7 @@ impl Profile {
             || median(&self.places, |p| p.dip / p.rise.max(1.0)) >= ROUND_WAY
     }
 
-    /// Return the mean dip of the first `num` positions.
+    /// Return the mean dip (rise from the middle to the second darkest side) of the first `num` positions.
     pub(crate) fn mean_dip(&self, num: usize) -> f64 {
         self.places[..num].iter().map(|p| p.dip).sum::<f64>() / num.max(1) as f64
     }
@@ -316,8 +318,7 @@ fn frames(curve: &[[f64; 3]]) -> impl Iterator<Item = [[f64; 3]; 2]> {
     })
 }
 
-/// Return the curve with each position moved across it to the darkest near value, because a path from voxel to voxel
-/// cuts corners.
+/// Return the curve with each position moved across it to the darkest near value, because a voxel path cuts corners.
 fn centred(curve: &[[f64; 3]], at: impl Fn([f64; 3]) -> f64) -> Vec<[f64; 3]> {
     let last = curve.len() - 1;
     let moved = |n: usize, frame: &[[f64; 3]; 2], offset: [f64; 2]| -> [f64; 3] {

@@ -34,8 +34,8 @@ struct Drawn {
     lumen: Vec<u8>,
 }
 
-/// Return the coordinates of a point relative to the end of the known airway: along the continuation, and to two sides,
-/// mm.
+/// Return the coordinates of a point relative to the end of the known airway, mm: along the continuation, and along two
+/// axes across it.
 fn along_and_off(p: [f64; 3]) -> [f64; 3] {
     let along = unit(ALONG).unwrap();
     let across = unit(cross(along, [0.0, 0.0, 1.0])).unwrap();
@@ -141,7 +141,7 @@ fn extended(chest: &mut Drawn) -> Thin {
     extend_thin(view, &mut chest.lumen, &LIMITS, &Unwatched).unwrap()
 }
 
-/// Return the extent of the added voxels along the continuation, and their largest distance from it, mm.
+/// Return the extent of the added voxels along the airway's continuation, and their largest distance from its axis, mm.
 fn added_mm(chest: &Drawn) -> (f64, f64) {
     let spacing = chest.grid.spacing_mm();
     chest

@@ -21,7 +21,7 @@ use crate::find::spots::{
 };
 use carina_leastcost::{TrackError, Watch};
 
-/// Part of the anatomy that is expected round a trachea and that was not found.
+/// Part of the anatomy round a trachea that the search did not find.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Doubt {
     /// The volume begins less than 18 mm above the carina and cuts the trachea off.
@@ -45,43 +45,44 @@ pub struct Trachea {
     pub length_mm: f64,
     /// Position of the carina, LPS.
     pub carina_lps: [f64; 3],
-    /// Missing parts of the anatomy, because of which the tube may be another structure; empty for the expected
-    /// anatomy.
+    /// Parts of the expected anatomy that were not found, so that the tube may be another structure; empty if all were
+    /// found.
     pub doubts: Vec<Doubt>,
 }
 
-/// Criteria for the two tubes below a division.
+/// Criteria for the two tubes below a division to be main bronchi.
 #[derive(Debug, Clone, Copy)]
 struct SplitRule {
     /// Length in mm over which both tubes below a division are followed down.
     follow_mm: f64,
-    /// Smallest diameter in mm of the wider of both tubes.
+    /// Minimum diameter in mm of the wider of the two tubes.
     wider_mm: f64,
-    /// Smallest diameter in mm of the narrower of both tubes.
+    /// Minimum diameter in mm of the narrower of the two tubes.
     narrower_mm: f64,
-    /// Largest distance between the two tubes from front to back, mm; the oesophagus is farther behind.
+    /// Maximum distance between the two tubes from front to back, mm; the oesophagus is farther behind.
     front_back_mm: f64,
 }
 
-/// Length in mm in the volume below which a tube is not accepted as trachea.
+/// Minimum length in mm, inside the volume, of a tube that is accepted as trachea.
 const MIN_LENGTH_MM: f64 = 18.0;
-/// Smallest length inside the volume of a trachea that begins outside the volume, mm.
+/// Minimum length in mm, inside the volume, of a trachea that begins outside the volume.
 const MIN_CUT_OFF_MM: f64 = 8.0;
-/// Smallest length of a trachea that lacks one main bronchus or one lung, mm; no other airway is wide for this length.
+/// Minimum length of a trachea that lacks one main bronchus or one lung, mm; no other airway is wide for this length.
 const STRICT_LENGTH_MM: f64 = 40.0;
-/// Smallest length of a trachea that lacks one main bronchus and one lung, or that has other tubes beside it, mm.
+/// Minimum length of a trachea that lacks one main bronchus and one lung, or that has other tubes beside it, mm.
 const BEYOND_DOUBT_MM: f64 = 60.0;
-/// Smallest median diameter of a trachea that lacks a main bronchus or a lung, mm.
+/// Minimum median diameter of a trachea that lacks a main bronchus or a lung, mm.
 const STRICT_DIAMETER_MM: f64 = 9.0;
-/// Smallest median share of directions with tissue round a trachea that lacks a main bronchus or a lung.
+/// Minimum share of directions with tissue round a trachea (median over its slices) if it lacks a main bronchus or a
+/// lung.
 const STRICT_RINGED: f64 = 0.8;
-/// Largest sideways displacement, per mm down, of a trachea that lacks a main bronchus or a lung.
+/// Maximum sideways displacement, per mm down, of a trachea that lacks a main bronchus or a lung.
 const STRICT_SLANT: f64 = 0.6;
-/// Smallest distance by which a single main bronchus leaves the straight line of the trachea, mm.
+/// Minimum distance by which a single main bronchus leaves the straight line of the trachea, mm.
 const ASIDE_MM: f64 = 10.0;
-/// Ratio of areas in successive slices above which a tube is not followed as the same trachea.
+/// Maximum ratio of a trachea's areas in successive slices; beyond it the tube is another structure.
 const TRACHEA_CHANGE: f64 = 2.2;
-/// Largest ratio of the areas of a bronchus in successive slices, one of which may cut a horizontal branch.
+/// Maximum ratio of a bronchus's areas in successive slices, one of which may cut a horizontal branch.
 const BRONCHUS_CHANGE: f64 = 5.0;
 /// Criteria for two main bronchi of normal width.
 const BOTH_BRONCHI: SplitRule = SplitRule {
@@ -97,12 +98,12 @@ const NARROW_BRONCHUS: SplitRule = SplitRule {
     narrower_mm: 3.9,
     front_back_mm: 12.0,
 };
-/// Smallest diameter of a twin (a similar tube beside a candidate), as a fraction of the candidate's diameter.
+/// Minimum diameter of a twin (a similar tube beside a candidate for the trachea), as a fraction of the candidate's
+/// diameter.
 const TWIN_DIAMETER: f64 = 0.6;
-/// Smallest and largest distance in mm of a twin (a similar tube beside a candidate for the trachea) from the
-/// candidate.
+/// Minimum and maximum distance in mm of a twin (a similar tube beside a candidate for the trachea) from the candidate.
 const TWIN_OFF_MM: (f64, f64) = (22.0, 130.0);
-/// Length in mm over which a twin must run beside the candidate to be a doubt about it.
+/// Minimum length in mm over which a twin (a similar tube) runs beside a candidate for the trachea.
 const TWIN_LENGTH_MM: f64 = 12.0;
 
 /// CT with the air spots of its slices from the top down, and the chains of spots that may be bronchi.
@@ -206,7 +207,7 @@ impl Candidate {
         doubts.contains(&Doubt::OneBronchus) || doubts.contains(&Doubt::OneLung)
     }
 
-    /// Return whether this candidate is better than `other`, in general because it has the larger volume.
+    /// Return whether this candidate is better than `other`: in general, whether it has the larger volume.
     ///
     /// A candidate that lacks a main bronchus or a lung is better only if it is also above the other, because the colon
     /// is below the lungs.
@@ -314,8 +315,8 @@ impl Scene<'_> {
             && aside <= STRICT_SLANT * (candidate.top_z_mm - candidate.bottom_z_mm)
     }
 
-    /// Find two main bronchi below a chain; return the carina's position and the index of the chain's last spot above
-    /// it.
+    /// Find two main bronchi below a chain; return the carina's position (LPS mm) and the index of the chain's last
+    /// spot above it.
     ///
     /// The two tubes are in the same slices, one on the right and one on the left of the chain's last undivided spot.
     /// Both continue for the length of the rule and diverge. One of them may be the lower part of the chain itself. The
@@ -378,9 +379,9 @@ impl Scene<'_> {
         None
     }
 
-    /// Find where the chain, or the tube that continues it, leaves its straight line to one side.
+    /// Find where the tube leaves the straight line of its chain to one side, as where only one main bronchus is open.
     ///
-    /// Return the position and the index of the chain's last spot before it. If one main bronchus is closed, this
+    /// Return the position (LPS mm) and the index of the chain's last spot before it. If one main bronchus is closed, this
     /// position is the carina. The result is `None` if the chain stays on its line.
     fn turn_aside(&self, chain: &Chain) -> Option<([f64; 3], usize)> {
         let last = chain.spots.len() - 1;

@@ -1,4 +1,5 @@
-//! Filter for short pieces of thin tubes in any direction: the difference between the sides of a piece and its middle.
+//! Filter for short straight pieces of thin tubes in any direction, by the difference between their sides and their
+//! middle.
 //!
 //! The wall of a lumen of one or two voxels is blurred into the lumen. The result is a bright thread whose middle is a
 //! little darker, by less than the noise of a voxel, so that a rule for single voxels ([`crate::find::tubeness`])
@@ -18,24 +19,25 @@ pub(crate) const NUM_SIDES: usize = 8;
 const NUM_ALONG: usize = 7;
 /// Distance in mm between the sampled positions along the axis of a tube.
 const STEP_MM: f64 = 0.75;
-/// Distances from the axis at which the crest of the wall is searched, mm: those of thin lumens, blurred.
+/// Distances from the axis at which the crest of the wall is searched, mm: those of thin blurred lumens.
 ///
 /// A thin lumen has no wall farther out.
 const CRESTS_MM: [f64; 3] = [0.65, 0.75, 1.1];
 /// Distance from the axis, behind a thin wall, at which there must be lung, mm.
 const BEYOND_MM: f64 = 2.4;
-/// Smallest number of sides with lung behind the wall; an artery is behind the others.
+/// Minimum number of sides with lung behind the wall; the other sides may have an artery.
 const MIN_BEYOND: usize = 4;
-/// Distance from the axis at which a blurred lumen is half-way up its wall, as a fraction of the crest's distance.
+/// Distance from the axis at which the value is half-way up the wall of a blurred lumen, as a fraction of the crest's
+/// distance.
 const HALF_WAY: f64 = 0.5;
-/// Smallest rise of the second darkest side, as a fraction of the mean rise.
+/// Minimum rise of the second darkest side, as a fraction of the mean rise of all sides.
 pub(crate) const ROUNDNESS: f64 = 0.5;
 
-/// Properties of a thin airway's section, in the volume's numbers.
+/// Properties of a thin airway's cross-section, in the volume's numbers.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct ThinSection {
     pub(crate) air: f64,
-    /// Smallest voxel value of the wall of an airway.
+    /// Minimum voxel value of the wall of an airway.
     pub(crate) least_wall: f64,
     /// Blur (sigma) of the CT, mm.
     pub(crate) blur_mm: f64,
@@ -44,12 +46,12 @@ pub(crate) struct ThinSection {
 }
 
 impl ThinSection {
-    /// Return the value between lung and a wall; behind a wall, a voxel below this value is lung.
+    /// Return the value half-way between lung and a wall; behind the wall, a darker voxel is lung.
     pub(crate) fn beyond(&self, wall: f64) -> f64 {
         0.5 * (wall + self.lung)
     }
 
-    /// Return whether a middle is as dark as that of a tube of this radius.
+    /// Return whether the value `middle` is as dark as the middle of a tube of this radius with this wall.
     ///
     /// Blur leaves `exp(-r^2 / 2 s^2)` of the wall's brightness in the middle of a tube.
     pub(crate) fn is_dark(&self, middle: f64, wall: f64, radius_mm: f64) -> bool {
@@ -62,20 +64,20 @@ impl ThinSection {
 pub(crate) struct TubeFilter {
     shape: [isize; 3],
     margin: [isize; 3],
-    /// Largest memory offset, in both directions, of the values that the filter reads round a voxel.
+    /// Maximum memory offset, in both directions, of the values that the filter reads round a voxel.
     reach: usize,
     directions: Vec<Direction>,
     section: ThinSection,
 }
 
-/// Memory offsets of the values along one line of a piece, from the first voxel that the filter reads.
+/// Memory offsets of the values along one line of a piece of tube, relative to the first voxel that the filter reads.
 type Steps = [u32; NUM_ALONG];
 
 #[derive(Debug)]
 struct Direction {
     middle: Steps,
     crests: Vec<Crest>,
-    /// Offsets of the values behind the wall on each side.
+    /// Memory offsets of the values behind the wall on each side.
     beyond: [Steps; NUM_SIDES],
 }
 
@@ -85,7 +87,7 @@ struct Crest {
     sides: [Steps; NUM_SIDES],
 }
 
-/// Sums of the values along the sides of a piece at one crest distance.
+/// Sums of the values along the sides of a piece of tube, at one distance of the crest.
 #[derive(Debug, Clone, Copy)]
 struct Sides {
     /// Sum of the values along the second darkest side of the tube.
@@ -149,7 +151,8 @@ impl TubeFilter {
         }
     }
 
-    /// Return the dip at a voxel; 0 if there is no tube, or if the filter would read beyond the volume.
+    /// Return the dip at a voxel, the rise in value from a tube's middle to its second darkest side; 0 if there is no
+    /// tube or not all values are in memory.
     ///
     /// This function is the definition; [`TubeFilter::dips`] computes the same result for many voxels faster.
     pub(crate) fn dip(&self, values: &[i16], voxel: usize) -> i16 {
@@ -172,7 +175,8 @@ impl TubeFilter {
         mean_dip(best)
     }
 
-    /// Return the dips of [`BLOCK`] voxels that are consecutive in memory, equal to [`TubeFilter::dip`] bit for bit.
+    /// Return the dips (rises in value from middle to sides) of [`BLOCK`] successive voxels, equal to
+    /// [`TubeFilter::dip`] bit for bit.
     pub(crate) fn dips(&self, simd: InstructionSet, values: &[i16], first: usize) -> [i16; BLOCK] {
         #[cfg(target_arch = "x86_64")]
         {
@@ -249,7 +253,7 @@ impl TubeFilter {
         (0..3).all(|a| ijk[a] >= self.margin[a] && ijk[a] < self.shape[a] - self.margin[a])
     }
 
-    /// Return whether a piece in one direction, whose sides rise above its middle, looks like a thin tube.
+    /// Return whether a piece in one direction, whose sides are brighter than its middle, looks like a thin tube.
     fn is_tube(
         &self,
         direction: &Direction,
@@ -275,7 +279,7 @@ impl TubeFilter {
     }
 }
 
-/// Return the mean dip of a piece from the difference of the sums along its side and its middle.
+/// Return the mean rise in value from the middle of a piece to its side, from the difference of the two sums.
 const fn mean_dip(sum: i32) -> i16 {
     (sum / NUM_ALONG as i32) as i16
 }
@@ -307,7 +311,7 @@ fn sums_of(window: &[i16], steps: &Steps) -> [i32; BLOCK] {
     sums
 }
 
-/// Return the measures of the sides, as [`risen`] does, for voxels that are consecutive in memory.
+/// Return the measures of the sides of a piece, as [`risen`] does, for voxels that are consecutive in memory.
 ///
 /// The result is `None` if for no voxel the second darkest side is above its `least`.
 #[expect(
@@ -338,7 +342,7 @@ fn risen_anywhere(
     Some((second, total))
 }
 
-/// Return whether enough sides of a piece are darker than `most` behind the wall.
+/// Return whether enough sides of a piece of tube are darker than `most` behind the wall.
 fn is_thin(sides: &[Steps; NUM_SIDES], sum: impl Fn(&Steps) -> i32, most: f64) -> bool {
     let dark = sides.iter().filter(|side| f64::from(sum(side)) < most);
     dark.count() >= MIN_BEYOND
@@ -362,11 +366,11 @@ fn risen(sides: &[Steps; NUM_SIDES], sum: impl Fn(&Steps) -> i32, least: i32) ->
     Some(Sides { second, total })
 }
 
-/// One of the sides round an axis, as a direction across the axis.
+/// Direction from an axis, across it, in which one side of a tube is read.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Side {
     unit: [f64; 3],
-    /// Distance from the axis in mm, below which a position is still in the voxel of the axis.
+    /// Distance from the axis in mm up to which a position is still in the voxel of the axis.
     least_mm: f64,
 }
 
@@ -379,7 +383,7 @@ impl Side {
         }
     }
 
-    /// Return the offset of this side at a distance in mm from the axis, at least in the next voxel.
+    /// Return the vector in mm from the axis to this side, of length `distance_mm`, or longer if needed to leave the voxel.
     pub(crate) fn at(&self, distance_mm: f64) -> [f64; 3] {
         self.unit.map(|u| u * distance_mm.max(self.least_mm))
     }

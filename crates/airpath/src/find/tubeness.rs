@@ -1,4 +1,4 @@
-//! Enclosure of a voxel by brighter wall, which distinguishes the inside of a small airway from the lung round it.
+//! Enclosure of a voxel by brighter walls, which distinguishes the inside of a small airway from the lung round it.
 //!
 //! The wall of a bronchus of a few voxels is blurred: its lumen may be as bright as lung, or brighter, and its wall no
 //! brighter than a vessel's rim. The shape remains visible: from the middle of the lumen the values rise in all
@@ -17,10 +17,10 @@ pub const REACH_MM: f64 = 3.0;
 
 /// Number of rays from a voxel, distributed evenly over all directions.
 const NUM_RAYS: usize = 48;
-/// Number of rays that may find no wall: both ends of the tube, or all three of a fork.
+/// Number of rays that may meet no wall in an airway: those to both ends of the tube, or to all three of a fork.
 const NUM_OPEN: usize = 10;
 
-/// Return the volume without its finest noise: smoothed with a kernel of three voxels on each axis.
+/// Return the volume smoothed with a kernel of three voxels on each axis, which removes the finest noise.
 ///
 /// The sigma of the kernel is 0.6 of the smallest spacing. An axis with much longer voxels is not smoothed.
 #[must_use]
@@ -68,7 +68,7 @@ pub fn smoothed(values: VolumeView<'_, i16>) -> Vec<i16> {
 #[derive(Debug)]
 pub struct Enclosure {
     shape: [isize; 3],
-    /// Voxels of each ray in order, as index offsets.
+    /// Voxels of each ray in order, as offsets (i, j, k) from the ray's origin.
     rays: Vec<Vec<[isize; 3]>>,
     /// Voxels of each ray as memory offsets, for voxels that are not near the volume's faces.
     steps: Vec<Vec<isize>>,
@@ -113,7 +113,7 @@ impl Enclosure {
         }
     }
 
-    /// Return the enclosure of a voxel: the rise of the values on all but a fifth of the rays; below 0 on a wall.
+    /// Return the enclosure of a voxel: the rise in value that all but a fifth of the rays meet; below 0 on a wall.
     #[must_use]
     pub fn at(&self, smooth: &[i16], voxel: usize) -> i16 {
         let [nx, ny, nz] = self.shape;
@@ -185,7 +185,7 @@ fn directions() -> impl Iterator<Item = [f64; 3]> {
 /// Section across a tube: the share of its sides with a wall, and the distance of the wall.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Section {
-    /// Share of the directions across the tube in which the values rise enough for a wall.
+    /// Share of the directions across the tube in which the values rise enough for a wall, 0 to 1.
     pub walled: f64,
     /// Median distance in mm from the middle of a tube to the place where half of the rise to its wall is reached.
     pub radius_mm: f64,

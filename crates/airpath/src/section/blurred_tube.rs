@@ -16,9 +16,9 @@ use rayon::prelude::*;
 const NUM_DIRECTIONS: usize = 5;
 /// Number of lumen radii for which the table of blurred tubes has an entry.
 const NUM_RADII: usize = 14;
-/// Smallest tabulated lumen radius, in blurs within the slices.
+/// Minimum tabulated lumen radius, in blurs within the slices.
 const MIN_RADIUS: f64 = 0.7;
-/// Largest tabulated lumen radius, in blurs within the slices.
+/// Maximum tabulated lumen radius, in blurs within the slices.
 const MAX_RADIUS: f64 = 14.0;
 /// Tabulated wall thicknesses, in blurs within the slices.
 const WALLS: [f64; 8] = [0.25, 0.5, 0.8, 1.2, 1.7, 2.4, 3.4, 5.0];

@@ -23,14 +23,14 @@ use crate::section::rays::{
 use crate::tree::smooth::Point;
 use carina_leastcost::{TrackError, Watch};
 
-/// Smallest fraction of rays that must show the far side of the wall; with fewer, no wall thickness is reported.
+/// Minimum fraction of rays that must show the far side of the wall; with fewer, no wall thickness is reported.
 pub const MIN_WALL_SHARE: f64 = 0.3;
-/// Largest thickness of an airway's wall, mm; a larger measured thickness includes tissue that touches the wall.
+/// Maximum thickness of an airway's wall, mm; a larger measured thickness includes tissue that touches the wall.
 pub const THICKEST_WALL_MM: f64 = 3.0;
 /// Distance between the centre of the rays and that of the lumen found, in voxels, below which no further cast is
 /// needed.
 const CENTRED_VOX: f64 = 0.1;
-/// Number of times after which the rays of a plane are not cast again, also if the centre still moves.
+/// Maximum number of times that the rays of a plane are cast, even if the centre still moves.
 const MAX_CASTS: usize = 4;
 /// Number of planes between two checks of the watch.
 ///
@@ -234,7 +234,7 @@ impl Section {
         let weights = blur.map_or([1.0; NUM_RAYS], |b| b.weights(axes));
         let moved_mm = std::array::from_fn(|n| raw_mm[n] + shift[n]);
         let edge_mm = rounded_across(&moved_mm, &weights);
-        // Widths are not means over directions, so they use the measured shape wherever the CT shows it.
+        // A width depends on single directions, so it uses the measured edges except where blur makes them uncertain.
         let shape_mm = rounded_across(&moved_mm, &weights.map(|w| (w / SHAPE_WEIGHT).min(1.0)));
         let mut section = Self {
             centre: cast.centre,

@@ -39,7 +39,7 @@ const ACROSS: f64 = 0.8;
 const STEEP_SHARE: f64 = 0.3;
 /// Factor by which interpolation widens an edge across the slices, which contains few values.
 const WIDENED_ACROSS: f64 = 1.36;
-/// Smallest accepted ratio of the blur across the slices to the blur within them.
+/// Minimum accepted ratio of the blur across the slices to the blur within them.
 const MIN_ACROSS: f64 = 0.8;
 /// Wall thickness, in blurs, above which the wall's half-maximum edges contribute to the measured thickness.
 const EDGES_TELL_FROM: f64 = 2.2;
@@ -49,9 +49,9 @@ const EDGES_TELL_OVER: f64 = 1.2;
 const CERTAIN: f64 = 0.6;
 /// Number of rays on each side of a ray over which the rise of the wall is averaged.
 const SMOOTHED_RAYS: usize = 2;
-/// Largest ratio of blur to radius for which the bias of the fitted tube is known.
+/// Maximum ratio of blur to radius for which the bias of the fitted tube is known.
 const MAX_BLURRED: f64 = 0.8;
-/// Largest ratio of the blur across the slices to that within them, for which the bias of the fitted tube is known.
+/// Maximum ratio of the blur across the slices to that within them, for which the bias of the fitted tube is known.
 const MAX_ACROSS: f64 = 4.0;
 /// Blur in pixels of a kernel that does not overshoot at edges.
 const NO_RIM: f64 = 0.9;
@@ -59,7 +59,7 @@ const NO_RIM: f64 = 0.9;
 const SHARP: f64 = 0.3;
 /// Number of iterations of the fit of a blurred tube to a section.
 const FITS: usize = 14;
-/// Smallest wall thickness, in blurs, of a result: thinner walls have nearly the same half-maximum thickness.
+/// Minimum wall thickness, in blurs, of a result: thinner walls have nearly the same half-maximum thickness.
 const THINNEST: f64 = 0.6;
 
 /// Blur of a CT, from the scanner, the voxels and the interpolation together; standard deviations in mm.

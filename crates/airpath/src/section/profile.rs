@@ -2,7 +2,7 @@
 
 use carina_grid::VolumeView;
 
-/// Smallest fall of the values behind a wall's peak that shows the wall's far side, as a fraction of the rise to the
+/// Minimum fall of the values behind a wall's peak that shows the wall's far side, as a fraction of the rise to the
 /// peak.
 const FALL: f32 = 0.3;
 /// Length of a ray behind the lumen's edge in which the wall's far side is searched, mm.

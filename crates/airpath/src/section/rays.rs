@@ -8,7 +8,7 @@ use crate::tree::smooth::Point;
 /// Number of rays of a section, and of points of its contour.
 pub const NUM_RAYS: usize = 64;
 
-/// Smallest fraction of the rays that must meet a wall; with fewer, the section has no closed lumen.
+/// Minimum fraction of the rays that must meet a wall; with fewer, the section has no closed lumen.
 pub const MIN_SHARE: f64 = 0.6;
 
 /// Rays of one plane across an airway, with the edges found on them.

@@ -22,7 +22,7 @@ const BEFORE_TIP_RADII: f64 = 0.5;
 ///
 /// This weight matters only if the axes are nearly parallel.
 const OLD_FORK_WEIGHT: f64 = 0.05;
-/// Largest displacement of a fork, in radii of the parent tube; otherwise it stays in place.
+/// Maximum displacement of a fork, in radii of the parent tube; otherwise it stays in place.
 const FARTHEST_RADII: f64 = 2.5;
 /// Weight in the smoothing of the points near a fork, small because they only show where the lumen is.
 const FORK_PULL: f64 = 1e-3;

@@ -17,7 +17,7 @@ const SHORTEST_BEND_MM: f64 = 18.0;
 ///
 /// Wider tubes are smoothed more, because their middle is known less exactly and the chain may deviate more.
 const REFERENCE_RADIUS_MM: f64 = 2.0;
-/// Largest number of rounds, after the gentle ones, in which points outside the lumen are pulled to the chain.
+/// Maximum number of rounds, after the gentle ones, in which points outside the lumen are pulled to the chain.
 const MAX_ROUNDS: usize = 24;
 /// Number of first rounds, in which a point outside the lumen is only pulled to just inside, so that the curve stays
 /// smooth.
@@ -27,11 +27,11 @@ const MAX_ROUNDS: usize = 24;
 const GENTLE_ROUNDS: usize = 16;
 /// Step of the search for a position inside the lumen, as a fraction of the distance to the chain.
 const GENTLE_SHARE: f64 = 0.125;
-/// Smallest weight of a point after the smoothing has pulled it inside the lumen.
+/// Minimum weight of a point after the smoothing has pulled it inside the lumen.
 const GENTLE_PULL: f64 = 1.0;
 /// Cosine of the largest turn between successive points that is not a sharp corner: 20 degrees.
 const SHARP_COSINE: f64 = 0.94;
-/// Largest number of rounds in which sharp corners are spread over neighbouring points.
+/// Maximum number of rounds in which sharp corners are spread over neighbouring points.
 const RELAXING_ROUNDS: usize = 30;
 /// Share of the way to the middle of its neighbours by which a corner moves in one round.
 const RELAXING_SHARE: f64 = 0.5;

@@ -12,7 +12,7 @@ use carina_leastcost::lumen::LumenGraph;
 use carina_leastcost::tracker::Tracker;
 use carina_leastcost::{TrackError, Watch};
 
-/// Largest distance in mm, from the centreline of a branch that is cut off, at which lumen is removed.
+/// Maximum distance in mm, from the centreline of a branch that is cut off, at which lumen is removed.
 const CUT_REACH_MM: f64 = 25.0;
 
 /// Return the nodes that belong to the tubes of the branches to cut and not to those that remain.

@@ -1,4 +1,4 @@
-//! Devices of this machine, and data of test scenes on them.
+//! Opened devices of this machine, and functions that upload test scenes to them.
 
 use std::sync::OnceLock;
 
@@ -30,7 +30,7 @@ pub(crate) fn gpus() -> &'static [Gpu] {
     })
 }
 
-/// Return a scene on the device without decoration.
+/// Return a scene on the device without anatomical data.
 pub(crate) fn on<'a>(volume: &'a GpuVolume, map: Option<&'a GpuMap>) -> Resident<'a> {
     Resident {
         volume,

@@ -1,4 +1,4 @@
-//! Register-wise operations on rows of bytes, one byte per voxel, for the kernels of the maps.
+//! Operations on rows of bytes (one byte per voxel) in vector registers, for the computation of radius maps.
 
 mod portable;
 mod register;
@@ -11,7 +11,7 @@ pub(crate) use register::Bytes;
 #[cfg(target_arch = "x86_64")]
 use x86::{Avx2, Avx512, Sse2};
 
-/// Computation that is compiled once for each instruction set.
+/// Computation that the compiler translates once for each instruction set.
 pub(crate) trait Kernel {
     /// Run the computation with the instruction set `b`.
     ///
@@ -19,7 +19,7 @@ pub(crate) trait Kernel {
     fn run<B: Bytes>(self, b: B);
 }
 
-/// Run a kernel with the widest registers of an instruction set that a row of `nx` voxels fills.
+/// Run a kernel with the widest registers of an instruction set that are not longer than a row of `nx` voxels.
 pub(crate) fn run<K: Kernel>(simd: InstructionSet, nx: usize, kernel: K) {
     #[cfg(target_arch = "x86_64")]
     {

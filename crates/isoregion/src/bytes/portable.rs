@@ -1,4 +1,4 @@
-//! Instruction set of plain arrays, which compilers translate to the instructions of the build's target (SSE2, NEON).
+//! Vector operations on plain arrays, which compilers translate to the instructions of the build's target (SSE2, NEON).
 
 use super::Bytes;
 

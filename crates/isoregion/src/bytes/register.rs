@@ -1,6 +1,6 @@
-//! Interface of an instruction set for the kernels of the maps.
+//! Interface of the vector operations with which radius maps are computed.
 
-/// Instruction set for the kernels of the maps.
+/// Vector operations of one instruction set, with which radius maps are computed.
 ///
 /// A value of the implementing type proves that the machine has the instruction set. A register has `N` voxels that are
 /// neighbours along x, one byte each. The bytes are distances; 255 means 255 or more.
@@ -16,13 +16,14 @@ pub(crate) trait Bytes: Copy {
     fn add(self, a: Self::V, b: Self::V) -> Self::V;
     fn is_zero(self, v: Self::V) -> bool;
     fn same(self, a: Self::V, b: Self::V) -> bool;
-    /// Return for each voxel the byte of the previous voxel; `before` is the register before `v`.
+    /// Return for each voxel the byte of the voxel before it; the first byte is the last one of register `before`.
     fn previous(self, before: Self::V, v: Self::V) -> Self::V;
-    /// Return for each voxel the byte of the next voxel; `after` is the register after `v`.
+    /// Return for each voxel the byte of the voxel after it; the last byte is the first one of register `after`.
     fn next(self, v: Self::V, after: Self::V) -> Self::V;
     /// Return for each voxel 255 if its bit is set, otherwise 0.
     fn expand(self, bits: u64) -> Self::V;
-    /// Return for each voxel the least sum, over the voxels of the register, of a voxel's byte and the distance to it.
+    /// Return for each voxel the minimum, over all voxels of the register, of a voxel's byte plus its distance in
+    /// voxels.
     fn spread(self, v: Self::V) -> Self::V;
     /// Return a register with the bytes `1, 2 ..= N`.
     fn rising(self) -> Self::V;

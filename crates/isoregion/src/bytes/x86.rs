@@ -40,7 +40,7 @@ const FALLING: [u8; 64] = {
     out
 };
 
-/// Macro that defines operations of one or a few instructions each.
+/// Macro that defines the operations that consist of one or a few instructions.
 macro_rules! operations {
     ($(fn $name:ident($($arg:ident: $type:ty),*) -> $out:ty { $body:expr })*) => {$(
         #[inline(always)]

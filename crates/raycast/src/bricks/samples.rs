@@ -1,4 +1,4 @@
-//! Bricks of the values and gradients of a volume, for pictures that are shaded at every sample.
+//! Bricks (cubes of voxels) with the values and gradients of a volume, for pictures that are shaded at every sample.
 //!
 //! Without bricks, an interpolated value with its gradient is computed from 32 voxels at twelve addresses, and
 //! neighbouring samples read most of these voxels again. A brick stores four int16 per voxel: its value, and the three
@@ -31,7 +31,7 @@ impl SampleBricks {
         }
     }
 
-    /// Return whether the bricks are for a volume of this shape.
+    /// Return whether the bricks were created for a volume of this shape.
     ///
     /// The caller must ensure that the volume has the same values.
     #[must_use]
@@ -63,7 +63,7 @@ impl Fill for SampleBricks {
         &self.store
     }
 
-    /// Fill a brick; return false if the cache is full or a difference does not fit an int16.
+    /// Compute a brick's values and gradients; return false if the cache is full or a difference does not fit an int16.
     fn fill(&self, field: &Field<'_>, number: usize) -> bool {
         let brick = self.store.brick(number);
         let filled = || filled(field, brick);

@@ -11,14 +11,14 @@ use super::store::{CELLS, Fill, Numbers, PER_BRICK, PER_VOXEL, STRIDE, Store, VO
 use crate::{Field, shared_constants::shared_constants};
 
 shared_constants! {
-    /// Distance from the voxel of the six samples on the axes, in units of the reach.
+    /// Distance from a voxel to the six samples on the axes round it, as a multiple of the reach (`Normals::reach`).
     ///
     /// A slope uses these six samples and eight samples at the corners of a box. The numbers were chosen by trial: on a
     /// plane edge blurred by 0.7 voxels the mean error of the normal is 0.2 degrees.
     pub(crate) const AXIS_AT: f32 = 1.2;
     /// Weight in a slope of the difference between the two samples on the axis of the slope.
     pub(crate) const AXIS_WEIGHT: f32 = 0.96;
-    /// Distance of the corner samples from the voxel along each axis, in units of the reach.
+    /// Distance along each axis from a voxel to the eight corner samples round it, as a multiple of the reach.
     pub(crate) const CORNER_AT: f32 = 0.7;
     /// Weight in a slope of the difference between the samples at the corners before and behind the voxel.
     pub(crate) const CORNER_WEIGHT: f32 = 0.7;
@@ -31,11 +31,11 @@ pub struct NormalBricks {
     reach: [f32; 3],
     held: [f32; 2],
     taps: [Taps; 3],
-    /// Factor from slopes (differences of voxel values) to the int16 that a brick stores.
+    /// Factor from slopes (differences of voxel values) to the stored int16 numbers.
     scale: f32,
 }
 
-/// Distances of the samples of a slope before and after a voxel along one axis.
+/// Positions, relative to a voxel, of the two samples whose difference is the slope along one axis.
 ///
 /// `near` is that of the corners of the box, `far` that of the samples on the axis.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -44,7 +44,7 @@ struct Taps {
     far: Tap,
 }
 
-/// Distance from a voxel, divided into whole voxels and the remaining fraction.
+/// Distance of a sample from a voxel, divided into whole voxels and the remaining fraction.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Tap {
     whole: usize,
@@ -59,7 +59,8 @@ impl Tap {
         }
     }
 
-    /// Return the interpolated values at this distance after and before index `at` of a line with a given stride.
+    /// Return the interpolated values at this distance after and before index `at` of a line whose items are `stride`
+    /// apart.
     #[inline(always)]
     fn both(self, line: &[f32], at: usize, stride: usize) -> (f32, f32) {
         let (one, two) = (self.whole * stride, (self.whole + 1) * stride);
@@ -72,7 +73,7 @@ impl Tap {
 }
 
 impl Taps {
-    /// Return the number of voxels beyond a brick, on each side, that its slopes need.
+    /// Return the number of voxels beyond each side of a brick that its slopes need.
     fn halo(&self) -> usize {
         self.far.whole + 1
     }
@@ -99,7 +100,7 @@ impl NormalBricks {
         }
     }
 
-    /// Return whether the slopes are for a volume of this shape and for these parameters of the normals.
+    /// Return whether the slopes were computed for a volume of this shape and for these parameters of the normals.
     pub(crate) fn are(&self, shape: [usize; 3], reach: [f32; 3], held: [f32; 2]) -> bool {
         self.store.shape == shape && self.reach == reach && self.held == held
     }
@@ -122,12 +123,12 @@ impl NormalBricks {
         self.store.is_full()
     }
 
-    /// Return the factor from slopes to stored numbers.
+    /// Return the factor from slopes to the stored int16 numbers.
     pub(crate) fn scale(&self) -> f32 {
         self.scale
     }
 
-    /// Return the factor from stored numbers to slopes.
+    /// Return the factor from the stored int16 numbers to slopes.
     pub(crate) fn unit(&self) -> f32 {
         1.0 / self.scale
     }
@@ -175,13 +176,13 @@ impl Fill for NormalBricks {
 #[derive(Default)]
 struct Work {
     halo: [usize; 3],
-    /// Values of the voxels that the brick's slopes need, `[k, j, i]`, and their number along each axis.
+    /// Values of the voxels that the brick's slopes need, `[k, j, i]`, and the number of these voxels along each axis.
     read: Vec<f32>,
     n: [usize; 3],
     /// Sums and differences along k at the brick's voxels, `[voxel of the brick, j, i]`.
     sum_k: Vec<f32>,
     rise_k: Vec<f32>,
-    /// Results along k and then j, `[voxel, voxel, i]`: both sums; rise along j; rise along k.
+    /// Results along k and then j, `[voxel, voxel, i]`: sum along both axes; rise along j; rise along k.
     sums: Vec<f32>,
     rise_j: Vec<f32>,
     rise_k_sum_j: Vec<f32>,

@@ -8,19 +8,19 @@ use std::{
 use crate::{Field, shared_constants::shared_constants};
 
 shared_constants! {
-    /// Number of cells (cubes between eight voxels) of a brick along each axis.
+    /// Number of cells of a brick along each axis; a cell is the cube between eight voxel centres.
     pub(crate) const CELLS: usize = 4;
-    /// Number of voxels of a brick along each axis: both ends of its cells.
+    /// Number of voxels of a brick along each axis, the first and the last voxel of its cells included.
     pub(super) const VOXELS: usize = CELLS + 1;
     /// Number of stored numbers per voxel: four, so that a voxel is one 64-bit load.
     pub(crate) const PER_VOXEL: usize = 4;
-    /// Number of int16 that a brick stores; the last few are 0 and fill the brick to a power of two.
+    /// Number of int16 numbers that a brick stores: those of its voxels, and zeros up to a power of two.
     pub(crate) const PER_BRICK: usize = 512;
-    /// Largest number of stored bricks: 64 MB, enough for some fifty views of an airway.
+    /// Maximum number of stored bricks: 64 MB, enough for some fifty views of an airway.
     pub(crate) const MAX_BRICKS: usize = 1 << 16;
 }
 
-/// Difference in memory between neighbouring voxels of a brick along each axis, in numbers.
+/// Distance in memory between neighbouring voxels of a brick along each axis, in int16 numbers.
 pub(crate) const STRIDE: [usize; 3] = [PER_VOXEL, PER_VOXEL * VOXELS, PER_VOXEL * VOXELS * VOXELS];
 
 /// The int16 values that one brick stores.
@@ -36,7 +36,7 @@ const UNFIT: i32 = -2;
 /// Interface of a cache of bricks (cubes of voxels that are stored together), which computes a brick at its first use.
 pub(crate) trait Fill {
     fn store(&self) -> &Store;
-    /// Fill a brick if it is not yet filled; return false if it cannot be stored.
+    /// Compute and store a brick if it is not yet stored; return false if it cannot be stored.
     ///
     /// `number` is the brick's number among the bricks of the volume.
     fn fill(&self, field: &Field<'_>, number: usize) -> bool;
@@ -47,9 +47,10 @@ pub(crate) trait Fill {
 pub(crate) struct Store {
     pub(super) shape: [usize; 3],
     num_bricks: [usize; 3],
-    /// Entry of each brick of the volume: its state, or one more than its index.
+    /// Entry of each brick of the volume: [`ABSENT`], [`BUSY`], [`UNFIT`], or one more than the index of a stored
+    /// brick.
     table: Box<[AtomicI32]>,
-    /// Numbers of the stored bricks.
+    /// Int16 numbers of the stored bricks.
     ///
     /// Each brick is written once, by the thread that has claimed it, before the table refers to it.
     numbers: UnsafeCell<Vec<i16>>,
@@ -93,7 +94,8 @@ impl Store {
         unsafe { (*self.numbers.get()).as_ptr() }
     }
 
-    /// Return the table: for each brick of the volume one more than its index, or a number that is not positive.
+    /// Return the table: for each brick of the volume one more than its index, or 0 or less for a brick that is not
+    /// stored.
     pub(crate) fn table(&self) -> &[AtomicI32] {
         &self.table
     }
@@ -103,7 +105,8 @@ impl Store {
         self.num_bricks
     }
 
-    /// Fill a brick if it is not yet filled; return its index in [`Self::numbers`], or `None` if it is not stored.
+    /// Compute and store a brick if it is not yet stored; return its index in [`Self::numbers`], or `None` if it cannot
+    /// be stored.
     ///
     /// `fill` returns `None` if the numbers cannot be stored; the table then records this.
     #[cold]

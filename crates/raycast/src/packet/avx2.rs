@@ -1,4 +1,4 @@
-//! Instruction set of eight lanes: AVX2 and FMA.
+//! AVX2 and FMA: instruction set with eight lanes.
 #![allow(
     clippy::wildcard_imports,
     reason = "half a hundred intrinsics, each named in full where it is used"
@@ -35,7 +35,7 @@ impl Avx2 {
     }
 }
 
-/// For each mask of eight lanes and each lane, the index of the packed value that the lane takes.
+/// For each mask of eight lanes and each lane, the index of the packed value that the lane receives.
 static TURN: [[i32; 8]; 256] = {
     let mut turns = [[0; 8]; 256];
     let mut mask = 0;
@@ -53,7 +53,7 @@ static TURN: [[i32; 8]; 256] = {
     turns
 };
 
-/// For each mask of eight lanes, the indices of its lanes in ascending order.
+/// For each mask of eight lanes, the indices of the mask's lanes in ascending order.
 static PLACE: [[i32; 8]; 256] = {
     let mut places = [[0; 8]; 256];
     let mut mask = 0;
@@ -85,7 +85,7 @@ unsafe fn lanes_of(bits: u32) -> __m256i {
     }
 }
 
-/// Macro that defines operations of one or a few instructions each.
+/// Macro that defines the operations that consist of one or a few instructions.
 macro_rules! operations {
     ($(fn $name:ident($($arg:ident: $type:ty),*) -> $out:ty { $body:expr })*) => {$(
         #[inline(always)]

@@ -1,4 +1,4 @@
-//! Instruction set of sixteen lanes: AVX-512 F, BW, DQ and VL.
+//! AVX-512 F, BW, DQ and VL: instruction set with sixteen lanes.
 #![allow(
     clippy::wildcard_imports,
     reason = "half a hundred intrinsics, each named in full where it is used"
@@ -35,7 +35,7 @@ impl Avx512 {
     }
 }
 
-/// Macro that defines operations of one or a few instructions each.
+/// Macro that defines the operations that consist of one or a few instructions.
 macro_rules! operations {
     ($(fn $name:ident($($arg:ident: $type:ty),*) -> $out:ty { $body:expr })*) => {$(
         #[inline(always)]

@@ -1,4 +1,4 @@
-//! Reads of cached bricks by packets, lane by lane.
+//! Reads of cached bricks (cubes of voxels) by packets, lane by lane.
 
 use super::lanes::{Array, Lanes, each_lane};
 use crate::{
@@ -8,7 +8,7 @@ use crate::{
 
 const _: () = assert!(CELLS == 4, "`quarters` and `modulo_4` are made for it");
 
-/// Memory offsets in a brick from a cell's lower corner to its four rows along x, in stored numbers.
+/// Memory offsets in a brick from a cell's lower corner to its four rows along x, in int16 numbers.
 const ROWS: [i32; 4] = [
     0,
     STRIDE[1] as i32,
@@ -88,7 +88,7 @@ impl<'a, B: Fill> Reader<'a, B> {
         all
     }
 
-    /// Interpolate the four numbers per voxel in each lane's cell `ijk` at position `t` in the cell.
+    /// Interpolate the four numbers per voxel at position `t` in each lane's cell `ijk`.
     ///
     /// Return `None` if a wanted lane has no brick. The cell of every lane must be in the volume, also in lanes that
     /// are not wanted.

@@ -22,7 +22,7 @@ shared_constants! {
     const DROP_LOG2: u32 = 5;
     /// Strength of the highlight of a droplet, as a fraction of the light that a guide gives at normal incidence.
     const DROP_GLINT: f32 = 1.2;
-    /// Decrease of the height that a bump of the relief needs to carry a droplet, per unit of film thickness.
+    /// Amount by which a film of thickness 1 lowers the height from which a bump of the relief carries a droplet.
     ///
     /// Droplets thus form groups with dry wall between them.
     const GATHER: f32 = 1.0;
@@ -36,19 +36,19 @@ shared_constants! {
     const SECRETIONS_RGB: [f32; 3] = [0.90, 0.84, 0.66];
     /// Opacity of a pool of secretions over the mucosa beneath it, 0 to 1.
     const COVER: f32 = 0.55;
-    /// Slope of the coverage of a bump by its droplet.
+    /// Change of a droplet's opacity per unit of the bump's height above [`DROP_FROM`].
     const DROP_EDGE: f32 = 3.0;
-    /// Height that a bump needs to carry a droplet on a wall without film.
+    /// Height from which a bump carries a droplet on a wall without film, 0 to 1.
     const DROP_FROM: f32 = 0.3 + 0.75 * GATHER;
     /// Noise value from which a bubble is drawn in a pool of secretions.
     const BUBBLE_FROM: f32 = 0.25;
-    /// Slope and offset of the visibility of droplets and bubbles, from the size of a pixel in cells.
+    /// Slope and offset of the opacity of droplets and bubbles as a function of the pixel's size in noise cells.
     const FADES: [f32; 2] = [-5.0, 1.5];
-    /// Slope and offset of the presence of pools, from the normal's component to the back.
+    /// Slope and offset of the opacity of pools as a function of the normal's component to the patient's back.
     const FLOOR: [f32; 2] = [-2.5, -0.6];
-    /// Slope and offset of the level of the pools, from the strength of the secretions.
+    /// Slope and offset of the level of the pools as a function of the strength of the secretions.
     const POOL_LEVEL: [f32; 2] = [1.2, -0.8];
-    /// Slope of the edge of a pool.
+    /// Change of a pool's opacity at its edge per unit of the noise that places the pool.
     const POOL_EDGE: f32 = 5.0;
     /// Strength with which the surface of a pool is turned to horizontal, 0 to 1.
     const POOL_FLAT: f32 = 0.7;
@@ -84,7 +84,7 @@ fn bump<L: Lanes>(
     (above, unit(l, tilted).0)
 }
 
-/// Return the visibility of droplets and bubbles, from the size of a noise cell in pixels.
+/// Return the opacity of droplets and bubbles, 0 to 1, from the size of a pixel in noise cells.
 ///
 /// The visibility is 1 if a noise cell covers ten pixels or more. Below about three pixels the visibility is 0, because
 /// a droplet would then be only a white dot.
@@ -94,7 +94,7 @@ fn fades<L: Lanes>(l: L, footprint_mm: L::F, per_mm: f32) -> L::F {
     smooth(l, l.fma(cells, l.splat(FADES[0]), l.splat(FADES[1])))
 }
 
-/// Compute the wet surface at patient points `lps` with normals `n` on the scope's side.
+/// Compute droplets, pools and bubbles at patient points `lps` with wall normals `n` on the scope's side.
 ///
 /// Droplets finer than a few pixels fade out; `footprint_mm` is the width of a pixel at the wall. Droplets form where
 /// the film is `thick` and the coarse relief is high; `bumps` are value and slope of that relief. A separate noise for

@@ -1,4 +1,4 @@
-//! Measurement that decides whether voxels are read by gather instructions or by single loads on this machine.
+//! Measurement that decides whether gather instructions or single loads read voxels on this machine.
 //!
 //! Gathers are faster on Intel's server processors since Sapphire Rapids, slower on Zen 4 and Zen 5, and several times
 //! slower where microcode mitigates Gather Data Sampling. No feature flag distinguishes these machines, a virtual
@@ -101,7 +101,7 @@ fn read<L: Lanes>(l: L, data: &[i16]) -> i32 {
 mod tests {
     use super::*;
 
-    /// Return the pair of voxels at one index per lane, read by the instruction set and read one by one.
+    /// Return the pair of voxels at one index per lane twice: read by the instruction set, and read one by one.
     fn pairs_of<L: Lanes>(l: L, data: &[i16], places: &Array<i32>, offset: i32) -> [Vec<i32>; 2] {
         let reach = |place: i32| usize::try_from(place + offset).unwrap();
         assert!(places[..L::N].iter().all(|&p| reach(p) + 1 < data.len()));

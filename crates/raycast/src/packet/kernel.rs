@@ -1,4 +1,5 @@
-//! Packet caster in two stages that exchange rays, so that the lanes of each stage do the same work.
+//! Packet caster in two stages, the search for visible samples and their shading; rays move between them, so that lanes
+//! are rarely empty.
 //!
 //! In the *search* stage, rays leap and take samples that are certainly clear. In the *shade* stage, rays take samples
 //! that may be visible, one after the other, until a sample is clear or the ray ends. A lane whose ray has left the
@@ -18,12 +19,13 @@ use super::{
 };
 use crate::CastStats;
 
-/// Number of rays in the shading pool at which the shade stage starts.
+/// Number of rays that wait for shading at which the shade stage starts.
 ///
 /// A change of stage is expensive, because it saves and loads all lanes.
 const SHADE_FROM: usize = 96;
 
-/// State of a band of rows whose rays are searched in the lanes of `L` and shaded in the lanes of `S`.
+/// State of a band of rows whose rays are searched in the lanes of `L` and shaded in the lanes of `S`, for the output
+/// `O`.
 struct Band<L: Lanes, S: Lanes, O: Out> {
     source: Source,
     searching: Pool,
@@ -31,7 +33,7 @@ struct Band<L: Lanes, S: Lanes, O: Out> {
     search: Packet<L>,
     shade: Packet<S>,
     stats: CastStats,
-    /// Sum, over the rays that have ended, of the number of their last sample.
+    /// Sum of the indices of the last samples of all rays that have ended.
     sum_of_end: u64,
     out: O,
 }
@@ -43,7 +45,7 @@ impl<L: Lanes, S: Lanes, O: Out> Band<L, S, O> {
         self.sum_of_end += packet.finish(l, lanes);
     }
 
-    /// Return true if rays are left for the search stage.
+    /// Return true if rays remain that the search stage has not finished.
     #[inline(always)]
     fn may_search(&self) -> bool {
         !(self.searching.is_empty() && self.source.is_empty() && self.search.occupied == 0)
@@ -206,7 +208,7 @@ impl Scene<'_> {
         band.search = packet;
     }
 
-    /// Cast all rays with leaps over values, in two packets that alternate.
+    /// Cast all rays that skip regions of equal values, in two packets that alternate.
     ///
     /// The address of a ray's next word depends on its last word, so the reads of one packet cannot overlap. Each packet
     /// therefore prefetches its next words and takes its step after the other packet.
@@ -264,7 +266,7 @@ impl Scene<'_> {
         band.search = packets[0];
     }
 
-    /// Run the shade stage: visible samples, until no ray waits for shading and few are left in the lanes.
+    /// Run the shade stage: shade visible samples until no ray waits for shading and few rays are left in the lanes.
     ///
     /// No ray needs a look-up in this stage: its previous sample had opacity, or the search stage has already looked up
     /// the map.

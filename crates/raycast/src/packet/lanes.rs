@@ -4,13 +4,13 @@
 
 use std::sync::atomic::AtomicI32;
 
-/// Largest number of lanes (rays) of a packet for any instruction set.
+/// Maximum number of lanes (rays) of a packet in any instruction set.
 pub(super) const MAX_LANES: usize = 32;
 
-/// Memory for one value of each lane.
+/// Array with one value for each lane.
 pub(crate) type Array<T> = [T; MAX_LANES];
 
-/// Instruction set of the packet kernels.
+/// Instruction set in which packets of rays are cast.
 ///
 /// A value of the implementing type proves that the machine has the instruction set. Every operation is the IEEE or
 /// integer operation of the scalar kernel; there are no approximations. `min(a, b)` is `if a < b { a } else { b }`,
@@ -30,11 +30,11 @@ pub(crate) trait Lanes: Copy {
     fn store(self, v: Self::F) -> Array<f32>;
     fn store_i(self, v: Self::I) -> Array<i32>;
     fn load_i(self, values: &Array<i32>) -> Self::I;
-    /// Return `old` with consecutive items of `values` in the lanes of the mask.
+    /// Return `old` with its lanes in the mask replaced, in order, by consecutive items of `values`.
     ///
     /// There must be at least as many values as lanes.
     fn fill(self, old: Self::F, mask: u32, values: &[f32]) -> Self::F;
-    /// Return `old` with consecutive integers of `values` in the lanes of the mask.
+    /// Return `old` with its lanes in the mask replaced, in order, by consecutive integers of `values`.
     ///
     /// There must be at least as many values as lanes.
     fn fill_i(self, old: Self::I, mask: u32, values: &[i32]) -> Self::I;

@@ -28,7 +28,7 @@ shared_constants! {
     const BENEATH_MM: f32 = 1.4;
     /// Display colour of mucosa over cartilage.
     const PALE_RGB: [f32; 3] = [0.98, 0.79, 0.72];
-    /// Linear colour of light that another wall has reflected.
+    /// Linear colour of light that has been reflected from one wall to another.
     const TINT_RGB: [f32; 3] = [1.0, 0.42, 0.32];
     /// Linear light that is displayed as white.
     const WHITE: f32 = 3.6;
@@ -36,13 +36,14 @@ shared_constants! {
     const TOE: f32 = 0.65;
     /// Thickness of the film of mucus on a wall without texture, 0 to 1.
     const MEAN_FILM: f32 = 0.75;
-    /// Length of a gradient, HU over the reach, below which tissue is flat and has no normal.
+    /// Length of a gradient, in HU over the distance of its samples, below which tissue is flat and has no normal.
     const FLAT_SLOPE: f32 = 1e-3;
-    /// Weights of red, green and blue in the brightness for the exposure, close to the sensitivity of the eye.
+    /// Weights of red, green and blue in the brightness from which the exposure is computed, close to the sensitivity
+    /// of the eye.
     const LUMINANCE: [f32; 3] = [0.3, 0.6, 0.1];
 }
 
-/// Source of a volume's values at positions in voxels.
+/// Source of interpolated voxel values at positions in voxel coordinates.
 pub(super) trait Values<L: Lanes>: Copy {
     fn at(self, l: L, p: [L::F; 3]) -> L::F;
 }
@@ -54,7 +55,7 @@ impl<L: Lanes> Values<L> for Voxels<'_> {
     }
 }
 
-/// Reader of voxel values one lane after another, for volumes in an order that packets cannot read.
+/// Reader of voxel values, one lane after another, for volumes whose memory order packets cannot read.
 impl<L: Lanes> Values<L> for &Field<'_> {
     fn at(self, l: L, p: [L::F; 3]) -> L::F {
         let p = p.map(|p| l.store(p));

@@ -1,4 +1,5 @@
-//! Look-ups of a packet in the radius map and the leaps that follow: the operations of [`crate::leap`], lane by lane.
+//! Reads of the radius map by a packet and the leaps (skipped segments) that follow: the operations of [`crate::leap`],
+//! lane by lane.
 
 use carina_isoregion::MAX_SEGMENT_SAMPLES;
 
@@ -34,7 +35,7 @@ impl<L: Lanes> Pace<L> {
         Self { signed, plain }
     }
 
-    /// Return for each lane the number of steps until its ray leaves its cube; the operations equal
+    /// Return for each lane the number of steps until its ray leaves its cube of equal labels; the operations equal
     /// `leap::Pace::steps`.
     #[inline(always)]
     fn steps(&self, l: L, p: [L::F; 3], v: [L::F; 3], reach: L::F) -> L::I {
@@ -70,7 +71,7 @@ fn prefetch(word: *const u16) {
 }
 
 impl Scene<'_> {
-    /// Look up the map in the lanes `looked_up`; return the lanes that have leaped.
+    /// Read the radius map in the lanes `looked_up`; return the lanes whose rays skipped samples.
     ///
     /// Lanes with a radius above 0 leap; the patience of the other lanes of `looked_up` grows.
     #[inline(always)]
@@ -94,7 +95,7 @@ impl Scene<'_> {
         leaps
     }
 
-    /// Advance lanes by leaps of `n` samples and update the patience of the lanes `looked_up`; see
+    /// Advance lanes by `n` skipped samples and update the patience of the lanes `looked_up`; see
     /// `leap::LookupSchedule`.
     #[inline(always)]
     fn settle<L: Lanes>(
@@ -123,7 +124,8 @@ impl Scene<'_> {
         packet.k = l.select_i(leaps, l.add_i(packet.k, n), packet.k);
     }
 
-    /// Return the colour and transparency of segments of `n` samples, from the step table's rows that begin at `row`.
+    /// Return the colour and transparency of segments of `n` samples, from the rows of the segment table that begin at
+    /// `row`.
     ///
     /// The function contains no closure, because a closure would be compiled without the instruction set.
     #[inline(always)]
@@ -136,7 +138,7 @@ impl Scene<'_> {
         unsafe { l.entries(segments.as_ptr(), at) }
     }
 
-    /// Look up the map of all classes in the lanes `looked_up`, and add a segment in lanes with a label; see
+    /// Read the map of all classes in the lanes `looked_up`, and add a segment in lanes whose label is not 0; see
     /// `leap::cast_classes`.
     ///
     /// Return the lanes that have leaped and the lanes whose ray is now opaque.
@@ -174,7 +176,7 @@ impl Scene<'_> {
         (leaps, l.and(leaps, l.less(packet.transparency, limit)))
     }
 
-    /// Add the segments of `n` samples of a label in the lanes `leaps`; `row` is the label's row in the step table.
+    /// Add the segments of `n` samples of a label in the lanes `leaps`; `row` is the label's row in the segment table.
     ///
     /// `n` becomes smaller in the lanes whose ray ends within its segment.
     #[inline(always)]
@@ -214,8 +216,8 @@ impl Scene<'_> {
         packet.transparency = l.select(leaps, through, packet.transparency);
     }
 
-    /// Take one step in the lanes `walks`: the segment within the cube round the nearest voxel; see
-    /// `leap::cast_values`. Return the lanes whose ray goes on.
+    /// Add, in the lanes `walks`, the segment within the cube round the nearest voxel; see `leap::cast_values`. Return
+    /// the lanes whose ray goes on.
     #[inline(always)]
     pub(super) fn step_over_values<L: Lanes, O: Out>(
         &self,
@@ -246,7 +248,7 @@ impl Scene<'_> {
         }
     }
 
-    /// Advance the rays as `step_over_values` does, with words whose memory indices are known.
+    /// Advance the rays as `step_over_values` does, with words (label and radius) whose memory indices are known.
     #[inline(always)]
     pub(super) fn step_from_word<L: Lanes, O: Out>(
         &self,

@@ -1,4 +1,4 @@
-//! Mist on the lens, which is fixed to the picture and not to the tissue, and hides the scene behind it.
+//! Mist on the lens: it is fixed to the picture, not to the tissue, and hides the scene behind it.
 
 use super::{
     lanes::Lanes,
@@ -10,9 +10,9 @@ use crate::{lighting::Lighting, shared_constants::shared_constants};
 shared_constants! {
     /// Number of patches of mist per radian of the view.
     const PATCHES: f32 = 2.3;
-    /// Display colour of the mist; the light that the wall reflects illuminates it.
+    /// Display colour of mist that is lit by light from the wall.
     pub(super) const MIST_RGB: [f32; 3] = [0.66, 0.56, 0.53];
-    /// Amplitude of the patches' opacity, and their mean opacity.
+    /// Amplitude and mean of the opacity of the mist.
     const MIST_COVER: [f32; 2] = [0.22, 0.62];
     /// Seed of the noise that places the patches of mist.
     const MIST_SEED: i32 = 71;

@@ -54,7 +54,7 @@ pub(crate) use source::BAND_ROWS;
 use source::Source;
 use voxels::Voxels;
 
-/// Return names and values of the constants of the shading of packets that shaders need too.
+/// Return names and values of the constants of the packets' shading that the GPU's shaders need too.
 pub(crate) fn shared() -> Vec<SharedConstant> {
     [
         film::shared(),
@@ -82,7 +82,7 @@ pub(crate) struct Packets<'a> {
     simd: InstructionSet,
 }
 
-/// Step table without classes, for pictures whose rays do not leap over all classes.
+/// Segment table without classes, for pictures whose rays do not skip regions of all classes.
 static NO_SEGMENTS: SegmentTable = SegmentTable::EMPTY;
 
 impl<'a> Packets<'a> {
@@ -169,8 +169,7 @@ impl<'a> Packets<'a> {
         self.cast_to(first_row, num_pixels, out)
     }
 
-    /// Cast as many rows as `out` contains, from `first_row` on, and write all results of the rays, including first
-    /// walls.
+    /// Cast as many rows as `out` contains, from `first_row` on; write colour, transparency and first wall of each ray.
     ///
     /// The light at the tip is not applied.
     pub(crate) fn cast_walls(&self, first_row: usize, out: &mut [Gathered]) -> CastStats {
@@ -217,7 +216,8 @@ impl<'a> Packets<'a> {
         self.cast((Pair(l), l), source, out)
     }
 
-    /// Cast a band of rows: search in the lanes of the first instruction set and shade in those of the second.
+    /// Cast a band of rows: search for visible samples in the lanes of the first instruction set, and shade them in
+    /// those of the second.
     #[inline(always)]
     fn cast<L: Lanes, S: Lanes, O: Out>(&self, l: (L, S), source: Source, out: O) -> CastStats {
         let scene = &self.scene;

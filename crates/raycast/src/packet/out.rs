@@ -8,12 +8,12 @@ use super::{
 };
 use crate::composite::Gathered;
 
-/// Output for the pixels of a band of rows.
+/// Buffer to which a packet writes the pixels of a band of rows.
 pub(super) trait Out {
     /// Whether the output needs the distance of each ray's first wall.
     const HITS: bool;
 
-    /// Write the colours of the rays in the lanes of the bit mask `lanes` to their pixels.
+    /// Write the colours of the rays in the lanes of the bit mask `lanes` to the pixels of these rays.
     fn write<L: Lanes>(&mut self, l: L, packet: &Packet<L>, lanes: u32);
 
     /// Write a range of pixels that have no ray.
@@ -60,7 +60,7 @@ impl Out for Rgb8<'_> {
     }
 }
 
-/// Output of all results of rays, including first walls.
+/// Buffer of the complete result of each ray: colour, transparency and first wall.
 pub(super) struct Walls<'a>(pub &'a mut [Gathered]);
 
 impl Out for Walls<'_> {

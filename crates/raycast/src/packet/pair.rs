@@ -1,5 +1,5 @@
-//! Pairs of registers used as one register: twice the rays for each branch, and independent operations that the
-//! processor can overlap.
+//! Pairs of registers used as one register: twice as many rays per branch, and operations that the processor can run in
+//! parallel.
 
 use std::sync::atomic::AtomicI32;
 
@@ -9,7 +9,7 @@ use super::lanes::{Array, Lanes, MAX_LANES};
 #[derive(Clone, Copy)]
 pub(super) struct Pair<L>(pub L);
 
-/// Macro that defines operations which apply an operation to both halves.
+/// Macro that defines operations on a pair by the same operation on each of its two registers.
 macro_rules! in_both {
     ($(fn $name:ident($($arg:ident: $kind:ident),*) -> $out:ident;)*) => {$(
         #[inline(always)]
@@ -26,7 +26,8 @@ fn join<T: Copy>(mut low: Array<T>, high: &Array<T>, at: usize) -> Array<T> {
 }
 
 impl<L: Lanes> Pair<L> {
-    /// Return the two halves of a mask, and the number of lanes in the first half.
+    /// Return the parts of a lane mask for the first and the second register, and the number of lanes that the first
+    /// part selects.
     #[inline(always)]
     fn parts(mask: u32) -> (u32, u32, usize) {
         let (low, high) = (mask & (u32::MAX >> (32 - L::N)), mask >> L::N);

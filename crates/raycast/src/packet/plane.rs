@@ -24,14 +24,14 @@ pub(crate) const TILE_ROWS: usize = 64;
 /// In an oblique plane, each pixel of a row reads one or two other rows of voxels. 256 pixels read more cache lines
 /// than the nearest cache holds; the lines of 16 pixels stay in the cache for the next row.
 const TILE_COLUMNS: usize = 16;
-/// Number of rows by which the prefetch of a row of pixels precedes its sampling (docs/decisions/0132).
+/// Number of rows between the row that is sampled and the row that is prefetched (docs/decisions/0132).
 const ROWS_AHEAD: usize = 8;
 
 /// Parameters that all tiles of a plane share.
 #[derive(Clone, Copy)]
 pub(crate) struct PlaneTiles<'a> {
     voxels: Voxels<'a>,
-    /// Voxel coordinates of the last voxel.
+    /// Voxel coordinates of the centre of the last voxel.
     last: [f32; 3],
     /// Voxel coordinates of the upper end of the box of the voxels.
     end: [f32; 3],

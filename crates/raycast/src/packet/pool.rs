@@ -1,4 +1,4 @@
-//! Storage of rays that are in no lane: rays to be searched, and rays that wait for shading.
+//! Storage of rays that are in no lane of a register: rays to be searched, and rays that wait for shading.
 
 use super::{
     lanes::{Array, Lanes, MAX_LANES, each_lane},
@@ -6,7 +6,7 @@ use super::{
 };
 use crate::{composite::NO_HIT, leap::Start};
 
-/// Number of rays after which no further rays are set up for a pool; a patch may add up to 31 more.
+/// Number of rays in a pool from which no further patch of rays is added; the last patch may add up to 31 more.
 pub(super) const BATCH: usize = 64;
 /// Capacity of a pool in rays.
 ///
@@ -28,9 +28,10 @@ pub(super) struct Packet<L: Lanes> {
     pub end: L::I,
     /// Index of the ray's pixel in the band.
     pub pixel: L::I,
-    /// Index of the sample at which each ray next reads the radius map.
+    /// Index of the sample at which each ray next reads the radius map of uniform regions.
     pub lookup_at: L::I,
-    /// Number of samples between a look-up that saves nothing and the next one (see [`crate::leap`]).
+    /// Number of samples between a read of the radius map that does not lead to a leap and the next read (see
+    /// [`crate::leap`]).
     pub patience: L::I,
     /// Bit mask of the lanes that hold a ray.
     pub occupied: u32,
@@ -70,8 +71,7 @@ impl<L: Lanes> Packet<L> {
         p
     }
 
-    /// Mark some lanes as free after their pixels were written; return the sum of the last sample numbers of their
-    /// rays.
+    /// Mark lanes whose pixels were written as free; return the sum of the indices of the last samples of their rays.
     #[inline(always)]
     pub(super) fn finish(&mut self, l: L, lanes: u32) -> u64 {
         let k = l.store_i(self.k);
@@ -82,7 +82,7 @@ impl<L: Lanes> Packet<L> {
     }
 }
 
-/// Stack of rays in memory, with a separate array for each number (last in, first out).
+/// Stack of rays in memory, with one array for each number of a ray.
 pub(super) struct Pool {
     len: usize,
     delta: [[f32; CAPACITY]; 3],
@@ -127,7 +127,7 @@ impl Pool {
         self.len == 0
     }
 
-    /// Add the first `count` of `rays` to the pool, with no sample taken yet.
+    /// Add the first `count` of `rays`, at their first samples, to the pool.
     #[inline(always)]
     pub(super) fn add(&mut self, rays: &Rays, pixel: &Array<i32>, count: usize, start: Start) {
         let at = self.len;
@@ -177,7 +177,7 @@ impl Pool {
         packet.occupied &= !lanes;
     }
 
-    /// Move rays from the pool to the free lanes of a packet, as many as there are.
+    /// Move rays from the pool to the free lanes of a packet, until the pool is empty or all lanes are occupied.
     #[inline(always)]
     pub(super) fn give_to<L: Lanes>(&mut self, l: L, packet: &mut Packet<L>, hits: bool) {
         let mut lanes = packet.free();

@@ -1,5 +1,4 @@
-//! Instruction set of eight lanes in plain arrays: loops that the compiler translates to the vector instructions of the
-//! target.
+//! Eight lanes in plain arrays: loops that the compiler translates to the vector instructions of the target.
 //!
 //! This set is the packet kernel for NEON. On every machine, tests compare its results with the scalar casters.
 
@@ -73,7 +72,7 @@ impl Lanes for Portable {
     const N: usize = N;
     type F = [f32; N];
     type I = [i32; N];
-    /// Mask of the lanes: all bits of a lane's i32 are set, or none.
+    /// Mask of the lanes: an i32 for each lane, with all bits set or none.
     type M = [i32; N];
 
     #[inline(always)]

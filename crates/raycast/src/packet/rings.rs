@@ -1,4 +1,4 @@
-//! Decoration that depends on anatomy: cartilage rings, the membranous wall, colour by region, ridges at forks.
+//! Drawn features that depend on anatomy: cartilage rings, the membranous wall, colour by region, ridges at forks.
 //!
 //! The decoration changes only the normal used for shading, and the colour. Every effect is a strength times a change,
 //! so a pixel with strength 0 keeps its bits, whichever pixels share its register.
@@ -11,28 +11,29 @@ use super::{
 use crate::{appearance::Appearance, decoration::Decoration, shared_constants::shared_constants};
 
 shared_constants! {
-    /// Height of a ring above the gaps between rings, as a fraction of the distance between rings (5.6 mm).
+    /// Height of a cartilage ring above the gaps between rings, as a fraction of the distance between rings (5.6 mm).
     const HEIGHT: f32 = 0.050;
-    /// Half of the width of a ring, as a fraction of the distance between rings.
+    /// Half of the width of a cartilage ring, as a fraction of the distance between rings.
     const HALF_WIDTH: f32 = 0.34;
-    /// Width of a ring's soft edge, as a fraction of the distance between rings.
+    /// Width of a cartilage ring's soft edge, as a fraction of the distance between rings.
     const EDGE: f32 = 0.24;
-    /// Largest displacement of regular and of irregular rings, as a fraction of the distance between rings.
+    /// Maximum displacement of regular and of irregular cartilage rings, as a fraction of the distance between rings.
     const STRAY: [f32; 2] = [0.09, 0.30];
-    /// Cosines of the angle from the middle of the back at which the membranous wall begins and is complete.
+    /// Cosines of the angle from the middle of the airway's back at which the membranous wall begins and is complete.
     ///
     /// The membranous wall takes about a third of the circumference.
     const BACK: [f32; 2] = [0.28, 0.70];
-    /// Number of folds of the membranous wall across one radius of the airway, and along one distance between rings.
+    /// Number of folds of the membranous wall across one radius of the airway, and along one distance between cartilage
+    /// rings.
     const FOLDS: [f32; 2] = [9.0, 0.26];
-    /// Sideways displacement of the folds of the membranous wall, in folds.
+    /// Sideways displacement of the folds of the membranous wall, as a fraction of the distance between folds.
     const WINDING: f32 = 1.6;
     /// Slope of the sides of the folds of the membranous wall.
     const FOLD: f32 = 0.32;
     /// Strength, 0 to 1, with which the normal of the membranous wall is turned to that of a flat wall.
     const FLAT: f32 = 0.60;
 
-    /// Changes of red, green and blue by region: the first in the trachea, the second far from it.
+    /// Changes of red, green and blue by region: first the change in the trachea, then the change in the periphery.
     ///
     /// The trachea is yellowish and pale; the mucosa far from it is redder.
     const HUE: [[f32; 2]; 3] = [[0.02, 0.0], [0.13, -0.06], [0.02, -0.05]];
@@ -42,39 +43,41 @@ shared_constants! {
         [-0.15, -0.09, 0.17],
         [-0.11, -0.06, 0.13],
     ];
-    /// Slope and offset of the presence of decoration, from the distance from the axis in radii.
+    /// Slope and offset of the opacity of all drawn features, as a function of the distance from the axis in radii.
     const NEAR_AXIS: [f32; 2] = [-4.0, 6.2];
-    /// Slope and offset of the presence of rings, from the distance from the axis in radii.
+    /// Slope and offset of the opacity of rings, as a function of the distance from the axis in radii.
     const ON_TUBE: [f32; 2] = [6.0, -3.9];
-    /// Slope and offset of the presence of the membranous wall, from the distance from the axis in radii.
+    /// Slope and offset of the opacity of the membranous wall, as a function of the distance from the axis in radii.
     const ON_BACK: [f32; 2] = [6.0, -2.4];
-    /// Slope of the absence of rings at a fork.
+    /// Decrease of the opacity of rings per unit of the strength of a fork.
     const AT_FORK: f32 = 1.3;
-    /// Smallest distance from the axis in radii by which the position on the back is divided.
+    /// Lower bound, in radii, of the distance from the axis by which the position on the back is divided.
     const LEAST_OFF: f32 = 0.05;
-    /// Displacement of the edges of the membranous wall by the mottling.
+    /// Maximum displacement of the edges of the membranous wall by the mottling noise, in cosines of the angle from the
+    /// back.
     const RAGGED: f32 = 0.06;
-    /// Smallest cosine between wall and viewing direction by which the width of a pixel is divided.
+    /// Lower bound of the cosine between wall and viewing direction by which the width of a pixel is divided.
     const LEAST_FACING: f32 = 0.08;
-    /// Slope and offset of the visibility of rings, from the width of a pixel in distances between rings.
+    /// Slope and offset of the opacity of rings, as a function of the width of a pixel in distances between rings.
     const RINGS_SEEN: [f32; 2] = [-4.5, 2.0];
-    /// Slope and offset of the presence of plates round the circumference, from the mottling.
+    /// Slope and offset of the opacity of cartilage plates round the circumference, as a function of the mottling
+    /// noise.
     const PLATES: [f32; 2] = [1.6, 0.55];
     /// Paleness that cartilage rings add to the colour of the wall.
     const PALE_RING: f32 = 0.34;
     /// Paleness of the ridges at forks.
     const PALE_RIDGE: f32 = 0.65;
-    /// Slope and offset of the redness between rings, from the mottling.
+    /// Slope and offset of the redness between rings, as a function of the mottling noise.
     const RED: [f32; 2] = [0.7, 0.8];
     /// Number of folds of the membranous (posterior) wall along its depth, per radius of the airway.
     const FOLDS_BACK: f32 = 0.8;
-    /// Number of folds per mm from which it is computed whether a pixel is small enough to show folds.
+    /// Number of folds per mm in the test whether a pixel is small enough to show folds.
     const FOLDS_PER_MM: f32 = 0.7;
     /// Seed of the noise that shapes the folds.
     const FOLD_SEED: i32 = 53;
 }
 
-/// Position of wall points along and around their airway, with the strengths of the decoration there.
+/// Position of wall points along and around their airway, with the strengths of the drawn features there.
 struct Place<L: Lanes> {
     phase: L::F,
     /// Gradient of the rings' phase per mm, LPS.
@@ -92,7 +95,7 @@ fn lerp<L: Lanes>(l: L, t: L::F, a: L::F, b: L::F) -> L::F {
     l.fma(t, l.sub(b, a), a)
 }
 
-/// Interpolate the decoration's grid at patient points `lps`; strengths are 0 outside the grid.
+/// Interpolate the grid of anatomical data at patient points `lps`; strengths are 0 outside the grid.
 ///
 /// Return `None` if the strengths of all lanes are 0.
 #[inline(always)]
@@ -183,7 +186,7 @@ fn place<L: Lanes>(l: L, field: &Decoration<'_>, lps: [L::F; 3]) -> Option<Place
     })
 }
 
-/// Effect of the decoration on the shading of wall points.
+/// Change of the shading of wall points by rings, membranous wall, colour by region and ridges.
 #[derive(Clone, Copy)]
 pub(super) struct Decorated<L: Lanes> {
     /// Gradient of the height of rings and folds, LPS, which tilts the normal for diffuse light and highlights.
@@ -194,7 +197,7 @@ pub(super) struct Decorated<L: Lanes> {
     pub tint: [L::F; 3],
 }
 
-/// Points of walls that are decorated.
+/// Points of walls on which rings, folds and ridges are drawn.
 ///
 /// The fields are the position in the patient, the normal towards the camera, the cosine between normal and viewing
 /// direction (0 to 1), and the width of a pixel.
@@ -219,7 +222,7 @@ fn hue<L: Lanes>(l: L, look: &Appearance, proximal: L::F) -> [L::F; 3] {
     factors
 }
 
-/// Compute the effect of rings, membranous wall, colour by region and ridges on wall points.
+/// Compute the change of wall points by rings, membranous wall, colour by region and ridges.
 ///
 /// The result depends only on the wall points themselves.
 #[inline(always)]

@@ -1,10 +1,10 @@
-//! Samples of a packet, which are read, classified, shaded and added: the operations of `Frame::add_sample`, lane by
-//! lane.
+//! Samples of a packet: read, classified by the transfer function, shaded and composited as in `Frame::add_sample`,
+//! lane by lane.
 
 use super::{lanes::Lanes, out::Out, pool::Packet, scene::Scene};
 
 impl Scene<'_> {
-    /// Take the samples `k` in the lanes `take` and advance these lanes to their next samples.
+    /// Add the samples `k` of the rays in the lanes `take`, and advance these rays to their next samples.
     ///
     /// Return the lanes whose sample had opacity and the lanes whose ray has not ended.
     ///

@@ -7,14 +7,15 @@ use std::ops::Range;
 use super::lanes::{Array, MAX_LANES};
 use crate::Frame;
 
-/// Rays of some pixels: their steps in voxels, the numbers of their first samples, and the numbers after their last.
+/// Rays of some pixels: steps in voxels, index of each ray's first sample, and one more than the index of its last
+/// sample.
 pub(super) struct Rays {
     pub delta: [Array<f32>; 3],
     pub first: Array<i32>,
     pub end: Array<i32>,
 }
 
-/// Steps of rays in camera space, mm, by axis; all 0 for a pixel that has no ray because of a lens or a mask.
+/// Steps of rays in camera space, mm, by axis; all 0 for a pixel that the lens or the outline of the picture excludes.
 #[derive(Clone, Copy)]
 pub(super) struct Directions([[f64; MAX_LANES]; 3]);
 
@@ -87,7 +88,7 @@ impl Directions {
     }
 }
 
-/// Fill `to` with numbers from `first` on in steps of `by`.
+/// Fill `to` with an arithmetic sequence that starts at `first` and increases by `by`.
 ///
 /// The loop processes four items at a time, like that of [`scaled`].
 #[inline(always)]

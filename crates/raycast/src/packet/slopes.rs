@@ -1,4 +1,4 @@
-//! Wall slopes read from bricks, lane by lane.
+//! Slopes (differences of voxel values across walls) read from bricks, lane by lane.
 
 use super::{
     bricks::Reader,
@@ -46,7 +46,7 @@ pub(crate) fn rise<L: Lanes>(
     slope
 }
 
-/// Return the slopes in lanes one after another, for cells whose bricks cannot all be stored.
+/// Return the slopes in the lanes, computed one lane after another, for cells whose bricks cannot all be stored.
 ///
 /// A brick that is not stored is computed again for each lane that needs it.
 #[cold]

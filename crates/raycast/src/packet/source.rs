@@ -10,7 +10,7 @@ use crate::{Frame, leap::Start};
 
 /// Number of rows of a picture that are cast together, so that packets cover squares of pixels.
 pub(crate) const BAND_ROWS: usize = 4;
-/// Largest number of rays of a patch of pixels that is set up at once: half of the largest number of lanes.
+/// Maximum number of rays of a patch of pixels that is set up at once: half of the largest number of lanes.
 const PATCH: usize = MAX_LANES / 2;
 
 /// Rays of a band of rows that are not set up yet.
@@ -20,7 +20,7 @@ pub(super) struct Source {
     width: usize,
     first_row: usize,
     num_rows: usize,
-    /// Column in the band of the next rays to be set up.
+    /// Column, in the band, of the first pixel whose ray is not set up yet.
     column: usize,
     row: usize,
     sum_of_first: u64,
@@ -47,7 +47,7 @@ impl Source {
         self.row == self.num_rows
     }
 
-    /// Return the sum, over the rays set up so far, of the number of their first sample.
+    /// Return the sum of the indices of the first samples of the rays that are set up so far.
     pub(super) fn sum_of_first(&self) -> u64 {
         self.sum_of_first
     }

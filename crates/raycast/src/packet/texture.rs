@@ -35,24 +35,23 @@ shared_constants! {
     const SKIN_SEEDS: [i32; 3] = [11, 37, 41];
     /// Changes of red, green and blue by the mottling and by vessels.
     const SKIN_TINT: [[f32; 2]; 3] = [[0.03, -0.08], [-0.11, -0.40], [-0.09, -0.30]];
-    /// Thickness of the film: changes by the fine relief and by the mottling, and mean.
+    /// Thickness of the film of mucus: change per unit of fine relief, change per unit of mottling, and mean.
     const FILM_FROM: [f32; 3] = [1.2, 0.35, 0.75];
-    /// Slope and offset of the visibility of noise, from the size of a pixel in cells.
+    /// Slope and offset of the opacity of noise, as a function of the size of a pixel in noise cells.
     const SHARP: [f32; 2] = [-2.0, 2.0];
-    /// Gradient of a noise per mm below which a vessel's distance is computed with this value, to avoid a division by
-    /// 0.
+    /// Lower bound of a noise's gradient per mm in the computation of a vessel's distance, to avoid a division by 0.
     const LEAST_STEEP: f32 = 1e-3;
     /// Half-width in pixels to which a thinner vessel of the mucosa is widened, so that it stays visible.
     const LEAST_VESSEL_PX: f32 = 0.7;
-    /// Slope and offset of the presence of stems, from the length of the noise's gradient.
+    /// Slope and offset of the opacity of vessel stems, as a function of the length of the noise's gradient.
     const STEMS: [f32; 2] = [1.5, -0.5];
-    /// Slope and offset of the presence of branches, from the length of the noise's gradient.
+    /// Slope and offset of the opacity of vessel branches, as a function of the length of the noise's gradient.
     const BRANCHES: [f32; 2] = [1.5, -0.6];
-    /// Slope, offset and smallest value of the width of a branch, from the mottling.
+    /// Slope, offset and minimum of the relative width of a vessel's branch, as a function of the mottling noise.
     const TAPER: [f32; 3] = [-1.8, 1.0, 0.1];
-    /// Slope of the presence of branches beside their stem.
+    /// Slope of the opacity of vessel branches, as a function of the distance from their stem.
     const BESIDE_STEM: f32 = 12.0;
-    /// Slope and offset of the presence of vessels along their line.
+    /// Slope and offset of the opacity of a vessel along its line, as a function of noise.
     const SHOWN: [f32; 2] = [1.4, 0.4];
     /// Rotation from the patient's axes to the noise lattice, chosen so that no row of the lattice runs along an airway.
     pub(super) const ASKEW: [[f32; 3]; 3] = [[0.36, 0.48, -0.8], [-0.8, 0.60, 0.0], [0.48, 0.64, 0.60]];
@@ -150,14 +149,14 @@ pub(super) struct Texture<L: Lanes> {
     pub bumps: (L::F, [L::F; 3]),
 }
 
-/// Return the visibility of noise: 1 if a cell of its lattice covers 2 pixels or more, 0 if it covers less than one.
+/// Return the opacity of noise: 1 if a cell of its lattice covers 2 pixels or more, 0 if it covers less than one.
 #[inline(always)]
 pub(super) fn sharp<L: Lanes>(l: L, footprint_mm: L::F, per_mm: f32) -> L::F {
     let cells = l.mul(footprint_mm, l.splat(per_mm));
     smooth(l, l.fma(cells, l.splat(SHARP[0]), l.splat(SHARP[1])))
 }
 
-/// Return the coverage, 0 to 1, by a line that follows the zeros of a noise and has the half-width `half_mm`.
+/// Return the opacity, 0 to 1, of a line of half-width `half_mm` along the zeros of a noise.
 ///
 /// `web` is the value of the noise and `steep_per_mm` the length of its gradient.
 #[inline(always)]
@@ -176,7 +175,7 @@ fn line<L: Lanes>(
     l.mul(near, l.mul(half_mm, per_width))
 }
 
-/// Return the coverage by vessels, 0 to 1, from the values and gradients of the noises of mottling and wrinkles.
+/// Return the opacity of vessels, 0 to 1, from the values and gradients of the mottling and wrinkle noises.
 ///
 /// Stems follow the zeros of the mottling; branches follow the zeros of the wrinkles, leave a stem to one side and
 /// taper. A separate noise for vessels would take longer than the remaining function.

@@ -3,7 +3,7 @@
 use super::{bricks::Reader, lanes::Lanes};
 use crate::{Field, Frame, SampleBricks};
 
-/// Largest number of voxels on an axis for which the accuracy of positions and the margin of a leap are sufficient.
+/// Maximum number of voxels on an axis for which the accuracy of positions and the margin of a leap are sufficient.
 const LONGEST_AXIS: f32 = 65_535.0;
 
 /// Volume whose voxels have 32-bit indices, prepared for reads by packets.
@@ -13,7 +13,7 @@ pub(super) struct Voxels<'a> {
     last: [f32; 3],
     last_cell: [i32; 3],
     stride: [i32; 3],
-    /// Index of voxel (1, 1, 1); `None` if its cell does not have neighbours on all sides.
+    /// Memory index of voxel (1, 1, 1); `None` if the cell at this voxel lacks neighbours on a side.
     inner: Option<i32>,
     samples: Option<Reader<'a, SampleBricks>>,
 }
@@ -30,7 +30,8 @@ pub(super) struct Cells<L: Lanes> {
 
 /// Voxels around each lane's position from which a value and its gradient are interpolated.
 struct Rows<L: Lanes> {
-    /// Four voxels on each of the four rows along x through the cell: its own two, and one on each side.
+    /// Four voxels on each of the four rows along x through the cell: the two of the cell, and one beyond it on each
+    /// side.
     own: [[L::I; 4]; 4],
     /// Pairs of voxels on the rows beside the cell, before and after it along y and z.
     ///
@@ -276,7 +277,7 @@ impl<'a> Voxels<'a> {
         Rows { own, beside: pairs }
     }
 
-    /// Read the rows of cells of which some are at the edge, where the edge voxel itself replaces the missing
+    /// Read the rows of cells of which some are at the edge of the volume; the edge voxel replaces its missing
     /// neighbour.
     #[inline(always)]
     fn read_at_edge<L: Lanes>(&self, l: L, cells: &Cells<L>) -> Rows<L> {

@@ -196,7 +196,7 @@ pub(crate) fn words(labels: &[u8], radius: &[u8]) -> Vec<u16> {
     labels.iter().zip(radius).map(word).collect()
 }
 
-/// Return the step table of all 255 labels; labels without a colour are transparent.
+/// Return the segment table of all 255 labels; labels without a colour are transparent.
 pub(crate) fn step_table(mut colours: Vec<[f32; 4]>) -> SegmentTable {
     colours.resize(255, [0.0; 4]);
     SegmentTable::new(&colours)

@@ -200,7 +200,7 @@ fn the_first_wall_of_a_tube_has_its_true_depth_and_normal() {
         let (a, b) = (dot(d, d), dot(o, d));
         let depth = (-b + (b * b - a * (dot(o, o) - radius * radius)).sqrt()) / a;
         let wall = off(std::array::from_fn(|a| origin[a] + depth * dir[a]));
-        // The angle between ray and far wall becomes so small that a step of the ray is longer than the edge is thick.
+        // Far along the tube a ray meets the wall at so small an angle that one ray step passes the blurred edge.
         // Far walls beyond 15 mm are left out, because the volume ends.
         let normal = wall.map(|v| -v / radius);
         (depth < 15.0 && -dot(normal, dir) > 0.25).then_some((depth, normal))

@@ -17,9 +17,9 @@ use carina_raycast::{
 };
 use rayon::prelude::*;
 
-/// Lowest value of the transfer tables, HU.
+/// Minimum value of the transfer tables, HU.
 const LO: i32 = -1100;
-/// Highest value of the transfer tables, HU.
+/// Maximum value of the transfer tables, HU.
 const HI: i32 = 3100;
 
 fn light_of([ambient, diffuse, specular, log2, reach]: Shares) -> Light {

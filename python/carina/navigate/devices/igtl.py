@@ -22,9 +22,9 @@ from carina.navigate.rotation import rotation_from_wxyz, wxyz_from_rotation
 HEADER = struct.Struct(">H12s20sQQQ")
 EXTENDED = struct.Struct(">HHII")
 MAX_POSE_BYTES = 1 << 16
-"""Largest accepted size in bytes of a message with poses: 1,300 tools of QTDATA."""
+"""Maximum accepted size in bytes of a message with poses: 1,300 tools of QTDATA."""
 MAX_BODY_BYTES = 64 << 20
-"""Largest message that is skipped, bytes; a longer one means that the stream is corrupt."""
+"""Maximum size in bytes of a message that is skipped; a larger one means that the stream is corrupt."""
 POSE_TYPES = {"TRANSFORM", "POSITION", "QTDATA"}
 _QT_ELEMENT = struct.Struct(">20sBB7f")
 _PYIGTL_POINT = struct.Struct(">64s32s4B3f4ff20s")
@@ -136,7 +136,7 @@ class IgtlStream:
 
 
 def _text(data: bytes) -> str | None:
-    """Return ASCII text up to the first zero byte; None for anything else."""
+    """Return ASCII text up to the first zero byte; None for bytes that are not ASCII."""
     text = data.split(b"\0", 1)[0].rstrip(b" ")
     try:
         decoded = text.decode("ascii")

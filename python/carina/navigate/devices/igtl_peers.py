@@ -161,7 +161,7 @@ class IgtlServer:
         self._thread = threading.Thread(target=self._run, name="carina-openigtlink", daemon=True)
 
     def start(self) -> None:
-        """Start to listen for OpenIGTLink clients."""
+        """Open the port and accept OpenIGTLink clients."""
         self._thread.start()
         self._ready.wait(5.0)
 

@@ -49,7 +49,7 @@ class SourceStatus:
 
 
 class Source(ABC):
-    """Connection to a device, in its own thread, which opens again after a loss.
+    """Connection to a device in a thread, which reconnects after a loss.
 
     Parameters
     ----------

@@ -27,7 +27,7 @@ NAMES = (
     "bending_mm",
     "bend_radius_mm",
 )
-# Smallest and largest diameter in mm of a scope that the mechanical model accepts (crates/scope, body.rs).
+# Minimum and largest diameter in mm of a scope that the mechanical model accepts (crates/scope, body.rs).
 MIN_TIP_MM, MAX_TIP_MM = 1.4, 7.8
 MAX_FLEXION_DEG = 229.0
 BENDING_MM, RIGID_MM, LENGTH_MM = (10.0, 100.0), (2.0, 20.0), (100.0, 1000.0)

@@ -19,7 +19,7 @@ from carina.scopes import ScopePreset
 
 DEFAULT_TOOL = "needle-21g"
 CLEARANCE_MM = 0.1
-"""Least difference in mm between channel and tool diameter; a thicker tool does not pass (common knowledge)."""
+"""Minimum difference in mm between channel and tool diameter; a thicker tool does not pass (common knowledge)."""
 ONLY_BRUSH = "no needle of the library passes its channel: the instrument can only brush, or take forceps in the lumen"
 """Text about a scope whose channel no needle passes."""
 FORMAT, VERSION = "carina-tool", 1

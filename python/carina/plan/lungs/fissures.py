@@ -21,17 +21,17 @@ SIGMA_MM = 1.2
 MIN_HU = 30.0
 """Curvature in HU (second derivative times sigma squared) across a plate below which it is not a fissure."""
 TIMES_NOISE = 7.0
-"""Least curvature across a plate (fissure), as a multiple of the curvature that noise causes."""
+"""Minimum curvature of the values across a plate (fissure), as a multiple of the curvature that noise causes."""
 EVEN = 0.5
-"""Largest curvature along a plate, as a share of the curvature across it; a line or a ball has a larger share."""
+"""Maximum curvature along a plate, as a share of the curvature across it; a line or a ball has a larger share."""
 MIN_MM2 = 600.0
-"""Least area in mm2 of a connected piece of a fissure; smaller pieces may be texture of the lung."""
+"""Minimum area in mm2 of a connected piece of a fissure; smaller pieces may be texture of the lung."""
 FROM_BORDER_MM = 30.0
-"""Largest distance in mm of a fissure from the estimated lobe border; a plate farther away is scar or pleura."""
+"""Maximum distance in mm of a fissure from the estimated lobe border; a plate farther away is scar or pleura."""
 FROM_EDGE_MM = 3.0
-"""Least distance in mm of a fissure from the chest wall, whose pleura looks like a plate too."""
+"""Minimum distance in mm of a fissure from the chest wall, whose pleura looks like a plate too."""
 FAINT = 0.5
-"""Share of the least curvature that suffices for voxels that are connected to a fissure."""
+"""Share of the minimum curvature that suffices for voxels connected to a fissure."""
 SLAB = 48
 
 
@@ -123,7 +123,7 @@ def _near_border(box: Box, label_zyx: NDArray[np.uint8], border_mm: Values, lps_
 
 
 def _plate_strength(soft: Values, where: Mask, sigma_vox: float) -> tuple[Values, float]:
-    """Return the curvature across plates less the curvature along them, per voxel, and the spread of its noise."""
+    """Return, per voxel, the curvature across plates minus the curvature along them, and the noise's spread of it."""
     found = np.zeros(soft.shape, dtype=np.float32)
     num = soft.shape[0]
     noise = []

@@ -37,7 +37,7 @@ UNSEEN_MM, SEEN_MM = 9.0, 3.0
 The value for airways alone was measured on patients with masks of lobes (benchmarks/carina_bench/plan_surroundings.py).
 """
 FAR_SHARE = 0.35
-"""Least standard deviation of a border without a fissure, as a share of the distance to the nearest airway.
+"""Minimum standard deviation of a lobe border without fissure, as a share of the distance to the nearest airway.
 
 The value is common knowledge, not measured.
 """
@@ -47,7 +47,7 @@ RIM_MM, WALL_HU = 6.0, -400.0
 The density is half-way between lung and muscle.
 """
 SEEN_REACH_MM = 6.0
-"""Largest distance in mm between a fissure and the lobe border that the fissure defines."""
+"""Maximum distance in mm between a fissure and the lobe border that the fissure defines."""
 
 
 @one_line
@@ -217,7 +217,7 @@ def lung_grid(box: Box) -> tuple[Mask, NDArray[np.float64]]:
 
 
 def _seeds(inside: Mask, lps_from_ijk: NDArray[np.float64], tree: AirwayTree) -> dict[str, NDArray[np.intp]]:
-    """Return for each lobe the lung voxels (n, 3) k, j, i on the lobe's airways."""
+    """Return for each lobe its start voxels (n, 3) k, j, i: lung voxels on the lobe's airways."""
     lobe_of = branch_side_and_lobe(tree)
     found: dict[str, list[NDArray[np.intp]]] = {}
     for branch in tree.branches:

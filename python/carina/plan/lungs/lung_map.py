@@ -25,7 +25,7 @@ from carina.volume.mask_distances import ball_distance
 Mask = NDArray[np.bool_]
 
 SURE = 0.8
-"""Mean confidence below which a part of a vessel is displayed as doubtful."""
+"""Mean confidence below which a part of a vessel is displayed as doubtful, 0 to 1."""
 RIM_MM = 3.0
 """Width in mm of the outer layer of the lungs in which no vessels are searched, because it may be chest wall."""
 LUNG_HU = 250.0
@@ -37,14 +37,14 @@ The share is one half beside the pleura and one fifth between trachea and spine.
 mediastinum, which look like vessels.
 """
 AIRWAY_GENERATIONS = 2
-"""Highest generation of airways whose air is excluded from the lung; airways beyond it are too thin to matter."""
+"""Maximum generation of airways whose air is excluded from the lung; airways beyond it are too thin to matter."""
 DEEP_MM, MIN_DEEP = 6.0, 0.25
-"""Depth in mm below the lungs' surface, and least share of a vessel's centreline that is at least this deep.
+"""Depth in mm below the lungs' surface, and minimum share of a vessel's centreline at this depth or deeper.
 
 Breathing between slices causes steps along the surface that look like vessels.
 """
 NEAR_MM = 3.0
-"""Largest distance in mm between a lobe border and a fissure that lies on this border."""
+"""Maximum distance in mm between a lobe border and a fissure that lies on this border."""
 STRETCH_MM = 1.5
 """Width in mm of the Gaussian that averages the confidence of the voxels along a vessel."""
 
@@ -194,7 +194,7 @@ def _within(known: Mask, num_voxels: int) -> Mask:
 
 
 def _amid_lung(seen: NearbyTissue, tree: AirwayTree) -> Mask:
-    """Return the mask of the vessel voxels that are surrounded by lung, not by mediastinum or chest wall."""
+    """Return the mask of the vessel voxels surrounded by lung rather than by mediastinum or chest wall."""
     lung = seen.box.known & (seen.box.hu_zyx < seen.lung_hu + LUNG_HU)
     step_mm, first = seen.box.step_mm, seen.box.lps_from_ijk[:3, 3]
     for branch in tree.branches:

@@ -27,17 +27,18 @@ Mask = NDArray[np.bool_]
 
 SMOOTH_MM = 0.7
 RISE_HU = 250.0
-"""Rise in HU above the density of lung from which a voxel counts as tissue; a blurred vessel of 1 mm exceeds it."""
+"""Rise in HU above the density of lung from which a voxel counts as tissue; a vessel 1 mm wide rises more despite
+blur."""
 WALL_MM = 1.5
 """Distance in mm from a lumen within which dense tissue counts as the airway's wall and not as a vessel."""
 LINE_WALL_MM = 1.0
-"""Least distance in mm from a lumen of a line-shaped vessel; plates may be wall up to `WALL_MM`."""
+"""Minimum distance in mm from a lumen of a line-shaped vessel; plates may be wall up to `WALL_MM`."""
 BLUR_MM = 1.5
 """Distance in mm from the nodule within which tissue is the nodule's blurred edge."""
 THICKEST_VESSEL_MM = 14.0
-"""Largest diameter in mm of a vessel; thicker tissue is mediastinum, chest wall or diaphragm."""
+"""Maximum diameter in mm of a vessel; thicker tissue is mediastinum, chest wall or diaphragm."""
 MIN_MM3 = 12.0
-"""Least volume in mm3 of a connected piece of tissue; smaller pieces are noise."""
+"""Minimum volume in mm3 of a connected piece of tissue; smaller pieces are noise."""
 SLAB = 48
 """Number of slices for which wall distances are computed between two checks for cancellation."""
 
@@ -74,7 +75,7 @@ class NearbyTissue:
         return grow_tree(self.box, self.vessel, self.sure)
 
     def read(self, of: NDArray[Any], points_lps: NDArray[np.float64]) -> NDArray[Any]:
-        """Return the values of an array of the box at the voxels nearest to points, (n,); undefined outside the box.
+        """Return the values of an array of this box at the voxels nearest to points, (n,); undefined outside.
 
         Parameters
         ----------

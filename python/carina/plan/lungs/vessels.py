@@ -21,17 +21,17 @@ Values = NDArray[np.float32]
 THIN_SIGMA_MM = 0.7
 """Standard deviation in mm of the Gaussian that smooths the CT before the curvature is computed."""
 RISE_HU = 60.0
-"""Least rise in HU of a vessel above the density of lung, after smoothing by 0.5 mm."""
+"""Minimum rise in HU of a vessel above the density of lung, after smoothing by 0.5 mm."""
 MIN_HU = 40.0
 """Curvature in HU (second derivative times sigma squared) across a line below which it is not a vessel."""
 TIMES_NOISE = 5.0
-"""Least curvature across a vessel, as a multiple of the curvature that noise causes."""
+"""Minimum curvature across a vessel, as a multiple of the curvature that noise causes."""
 MIN_LENGTH_MM = 3.0
-"""Least length in mm of a connected piece of a thin vessel; shorter pieces are noise."""
+"""Minimum length in mm of a connected piece of a thin vessel; shorter pieces are noise."""
 SLAB = 48
 """Number of slices processed together; it limits the memory for whole lungs."""
 SPUR_MM = 2.0
-"""Least length in mm of a branch beyond the surface of its parent; a shorter one is a bump of the parent."""
+"""Minimum length in mm of a vessel branch beyond the surface of its parent; a shorter one is a bump of the parent."""
 MAX_BRANCHES = 4000
 LOOK_EVERY = 20_000
 """Number of processed voxels after which progress is reported."""
@@ -66,7 +66,7 @@ class VesselTree:
     branches: tuple[VesselBranch, ...] = field(repr=False)
     """Branches of the tree; parents precede their children."""
     is_whole: bool = True
-    """Whether all branches are included; False if there were more than `MAX_BRANCHES`."""
+    """Whether the tree contains all branches; False if the box has more than `MAX_BRANCHES`, which limits the tree."""
 
     @property
     def length_mm(self) -> float:
@@ -245,7 +245,7 @@ def grow_tree(box: Box, vessel: Mask, sure: Values, *, on_share: Callable[[float
 
 
 def _arrival(vessel: Mask, depth: Values, labels: NDArray[Any]) -> Values:
-    """Return the arrival time of a fast-marching front from the widest voxel of each vessel piece; infinite outside.
+    """Return for each voxel the time at which a front from the vessel piece's widest voxel arrives; infinite outside.
 
     The front is faster in the middle of a vessel.
     """
@@ -262,7 +262,7 @@ _AROUND = np.array([(z, y, x) for z in (-1, 0, 1) for y in (-1, 0, 1) for x in (
 
 
 def _downhill(at: NDArray[np.intp], arrival: Values, owner: NDArray[np.int32]) -> tuple[NDArray[np.intp], int | None]:
-    """Return the path of voxels that leads to a voxel from a known branch, or from the start of the front.
+    """Return the path of voxels from a branch already in the tree, or from the front's start, to a voxel.
 
     The second value is the index of that branch, or None at the start of the front.
     """

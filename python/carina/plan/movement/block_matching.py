@@ -21,9 +21,9 @@ MIN_HU, MAX_HU = -1000.0, 100.0
 AVERAGED_MM = 1.3
 """Size in mm to which voxels are averaged before both CTs are compared."""
 MIN_CLEAR = 0.1
-"""Least variation of the CT at a landmark, as a share of the variation at the clearest landmarks."""
+"""Minimum variation of the CT round a landmark, as a share of the variation round the clearest landmarks."""
 MIN_SPREAD_HU = 40.0
-"""Least standard deviation of a cube's values, HU; a cube with less has too little structure to be found."""
+"""Minimum standard deviation of a cube's values, HU; a cube with less has too little structure to be found."""
 LUNG_HU, ROUND_MM, MIN_LUNG = -500.0, 4.0, 0.45
 """Limits for lung round a landmark: largest HU, width in mm of the averaging Gaussian, least share of lung."""
 SMOOTH_MM = 2.0

@@ -16,19 +16,19 @@ Points = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 NUM_TRIALS = 600
-"""Largest number of triples of forks from each of which a rigid motion between both CTs is tried."""
+"""Maximum number of triples of forks from each of which a rigid motion between both CTs is tried."""
 RIGID_MM = 15.0
-"""Largest distance in mm of a pair from the rigid motion.
+"""Maximum distance in mm of a pair from the rigid motion.
 
 Breathing moves the bases of the lungs by 10 to 20 mm relative to the apices.
 """
 NUM_NEAR = 10
-"""Number of pairs that determine the width of the Gaussian weights: so many are within one standard deviation."""
+"""Number of pairs within one standard deviation of the Gaussian weights, which determines their width."""
 MIN_SIGMA_MM = 8.0
 SLOPE_WEIGHT = 0.3
-"""Weight that limits the slopes of the local affine motion, as a share of the pairs' weight."""
+"""Weight of the penalty for slopes of the local affine motion, as a share of the weight of the pairs."""
 MEAN_WEIGHT = 0.2
-"""Weight, in pairs, by which the affine motion of all pairs counts in each local motion."""
+"""Weight of the affine motion of all pairs in each local motion, as a number of pairs."""
 AT_ONCE = 2000
 
 

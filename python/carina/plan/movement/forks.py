@@ -14,7 +14,7 @@ from carina.track import AirwayTree, Branch
 Points = NDArray[np.float64]
 
 MIN_CONFIDENCE = 0.5
-"""Least confidence of a branch name in each tree from which the forks of the branch are compared."""
+"""Minimum confidence of a branch name in each tree from which the forks of the branch are compared."""
 
 
 @one_line

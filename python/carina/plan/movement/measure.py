@@ -54,29 +54,30 @@ Points = NDArray[np.float64]
 CARINA = "Trachea"
 """Name of the branch that ends in the main carina."""
 AFFINE_MM = 8.0
-"""Distance in mm of a fork from the affine motion of all forks above which the fork is an outlier and is not used."""
+"""Maximum distance in mm of a fork from the affine motion of all forks; a fork farther off is an outlier."""
 NEAR_MM, APART_MM, MAX_PLACES = 60.0, 8.0, 160
-"""Vessels that are matched near a target: half the side of the cube and least distance in mm; largest number."""
+"""Search for vessels near a target: half side length of the cube in mm, minimum distance between points in mm,
+maximum number."""
 COARSE, FINE = Block(9.0, 1.5, 9.0), Block(7.5, 0.75, 3.0)
 WIDE = Block(18.0, 1.0, 4.0)
 """Cubes at the forks of wide airways, which contain the walls of the airways."""
 WIDE_NAMES = (CARINA, "RMB", "LMB", "BI")
 MIN_RADIUS_MM, TARGET_RIM_MM = 3.0, 5.0
-"""Least radius of a target, and width of the tissue round the target that is compared too, mm."""
+"""Minimum radius of a target, and width of the tissue round the target that is compared too, mm."""
 OUTSIDE_MM = 2.0
-"""Distance in mm from the target's edge below which a vessel is not matched with the second CT."""
+"""Minimum distance in mm from the target's edge of a vessel that is matched with the second CT."""
 SAME_MM = 1e-3
 """Distance in mm below which two points count as the same fork."""
 MIN_SCORE = 0.6
-"""Least correlation of a cube with the second CT at which the point counts as found."""
+"""Minimum correlation of a cube with the second CT at which the point counts as found."""
 MAX_RESIDUAL_MM = 4.0
-"""Largest distance in mm of a point's shift from the shift that its neighbours predict."""
+"""Maximum distance in mm of a point's shift from the shift that its neighbours predict."""
 NUM_CHECKED = 20
 """Number of matched points, nearest to the target, from which the error of the target's shift is estimated."""
 SHARE_WITHIN = 0.9
 """Share of the known points whose prediction error is at most the stated error."""
 MAX_ERROR_MM = 15.0
-"""Largest error in mm that is stated; a measurement with a larger error is no better than the default movement."""
+"""Maximum error in mm that is stated; a measurement with a larger error is no better than the default movement."""
 AGREE_MM = 2.0
 """Distance in mm up to which the target's own shift always counts as agreeing with its neighbours."""
 TURN_DEG = 4.0
@@ -97,13 +98,14 @@ class MovementMeasurement:
     carina_shift_lps: tuple[float, float, float]
     """Shift of the main carina in the coordinates of the CTs, mm; it includes a shift of the table."""
     forks: tuple[ForkShift, ...]
-    """Forks that both trees name."""
+    """Forks that have a name in the trees of both CTs."""
     num_vessels: int
     """Number of vessel points near the target that were found in the second CT."""
     residual_mm: float
     """Median distance in mm between found points near the target and their prediction by neighbouring points."""
     breath_mm: float
-    """Distance in mm from one rigid motion within which 90 % of the points are; small if both CTs show one breath."""
+    """Distance in mm from one rigid motion within which 90 % of the points are; small if the breath is the same in
+    both CTs."""
     rotation_deg: float
     """Rotation between both CTs, degrees."""
     is_target_seen: bool

@@ -12,10 +12,10 @@ from carina.track import AirwayTree
 Points = NDArray[np.float64]
 
 NEAR_CARINA_MM = 90.0
-"""Largest distance in mm of compared forks from the main carina; breathing moves nearer forks little."""
+"""Maximum distance in mm of compared forks from the main carina; breathing moves nearer forks little."""
 MIN_FORKS = 8
 BETTER = 0.75
-"""Largest ratio of the median fork distance in another orientation to that in the stated orientation."""
+"""Maximum ratio of the median fork distance in another orientation to that in the stated orientation."""
 ORIENTATIONS = (
     ((-1.0, 1.0, 1.0), "movement.mirrored", "a mirror image of this CT: right and left are exchanged"),
     ((1.0, -1.0, 1.0), "movement.mirrored", "a mirror image of this CT: front and back are exchanged"),

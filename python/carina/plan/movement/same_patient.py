@@ -16,41 +16,41 @@ Points = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 MIN_RIGID, MIN_FORKS = 5, 8
-"""Least number of forks that both trees name, and least number of them that follow one motion."""
+"""Minimum number of forks that both trees name, and minimum number of them that follow one motion."""
 MIN_RIGID_SHARE = 0.6
 """Share of forks that follow one rigid motion within 15 mm below which the second CT may be another patient's."""
 MAX_TURN_DEG = 20.0
-"""Largest rotation between both CTs in degrees; beyond it the patient is in another pose."""
+"""Maximum rotation between both CTs in degrees; beyond it the patient is in another pose."""
 MAX_MEDIAN_MM = 5.0
 """Median distance in mm of the forks from their affine motion above which the second CT may be another patient's."""
 STRETCH = (0.7, 1.4)
-"""Least and largest factor by which the chest may be longer or wider in the second CT than in the first."""
+"""Minimum and maximum ratio of the chest's length or width in the second CT to that in the first."""
 MIN_INSIDE = 0.85
-"""Share of the first CT's forks with expected positions inside the second CT, below which the second CT is refused."""
+"""Minimum share of the first CT's forks whose expected positions are inside the second CT."""
 MIN_SIZE = 0.9
-"""Least size of the second CT on each axis as a share of the extent of the first CT's forks."""
+"""Minimum size of the second CT on each axis, as a share of the extent of the first CT's forks."""
 MIN_FORKS_FOUND = 0.85
-"""Least share of named forks whose surroundings are found in the second CT.
+"""Minimum share of named forks whose surroundings are found in the second CT.
 
 The share is at least 0.95 in two CTs of one patient, and at most 0.8 in phantoms of two patients.
 """
 MIN_NEAR, NEAR_MM = 8, 45.0
-"""Least number of vessels and forks found in the second CT within a distance in mm of the target."""
+"""Minimum number of vessels and forks found in the second CT within a distance in mm of the target."""
 MIN_SLOPE = 0.15
-"""Least increase of the lung's density towards one side, HU per mm, at which the patient's pose is known."""
+"""Minimum increase of the lung's density towards one side, HU per mm, at which the patient's pose is known."""
 EVERY = 4
 THIN_MM = 2.5
 """Slice distance in mm above which few forks are found, as a message explains."""
 LUNG_HU = (-960, -600)
-"""Least and largest HU of lung in the checks of the patient's pose and of the CT's extent."""
+"""Minimum and maximum HU of lung in the checks of the patient's pose and of the CT's extent."""
 MIN_LUNG_VOXELS, MIN_LUNG_ML = 5000, 300.0
 """Least number of lung voxels (every fourth on each axis) for the check of the pose; least volume of lungs in ml."""
 SAME_BREATH_MM = 1.0
-"""Distance in mm from one rigid motion of 90 % of the points, up to which both CTs show the same breath."""
+"""Distance in mm from a rigid motion, of 90 % of the points, up to which the breath counts as the same in both CTs."""
 SIMILAR_BREATH_MM = 2.5
-"""Limit in mm of the same distance, below which a note states that both CTs show a similar breath."""
+"""Distance in mm from a rigid motion, of 90 % of the points, up to which a note calls the breaths similar."""
 CUT_SHARE, CUT_TIMES = 0.1, 2.0
-"""Least share of lung in an end slice that cuts the lungs; least ratio of this share to that of the first CT."""
+"""Minimum share of lung in an end slice that cuts the lungs; minimum ratio of this share to that of the first CT."""
 
 
 def check_other_ct(first: Volume, second: Volume) -> None:

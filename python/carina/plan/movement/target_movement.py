@@ -13,15 +13,15 @@ from carina.errors import UsageError
 MovementOrigin = Literal["default", "given", "measured"]
 
 LOWER_LOBE_MM, ELSEWHERE_MM = 20.0, 15.0
-"""Largest distance in mm of a nodule from its place in a CT at full inspiration, in the lower lobes and elsewhere.
+"""Maximum distance in mm of a nodule from its place in a CT at full inspiration, in the lower lobes and elsewhere.
 
 The movement is 17.6 mm on average and more than 20 mm in the lower lobes (85 lesions; source: Chen et al., Chest
 2015;147:1275). The value of 15 mm elsewhere is common knowledge.
 """
 MAX_MOVED_MM = 60.0
-"""Largest accepted error of a stated movement, mm; the movement itself may be twice as large."""
+"""Maximum accepted error of a stated movement, mm; the movement itself may be twice as large."""
 NAMED_SHARE = 0.25
-"""Least component of a shift, as a share of the shift's length, at which the text names its direction."""
+"""Minimum component of a shift, as a share of the shift's length, at which the text names its direction."""
 DIRECTIONS = (
     ("towards the patient's left", "towards the patient's right"),
     ("to the back", "to the front"),

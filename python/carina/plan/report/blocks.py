@@ -9,7 +9,7 @@ from carina.display import one_line
 from carina.plan.report.drawing import Drawing
 
 MAX_ROWS = 14
-"""Largest number of rows of a table that is not divided between pages."""
+"""Maximum number of rows of a table that is not divided between pages."""
 Tone = Literal["plain", "lead", "quiet", "warning"]
 """Tone of a text: ``lead`` is a summary; ``warning`` is red, for drawn airways and for limits that forbid something."""
 

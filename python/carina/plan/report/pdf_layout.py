@@ -43,9 +43,9 @@ SIDE, TOP, BOTTOM = 34.0, 50.0, 46.0
 """Side, top and bottom margins of a page in points; the last two contain the head and foot of each page."""
 GAP = 8.0
 MIN_SIZE = 8.0
-"""Smallest font size on a page in points, also of text in drawings."""
+"""Minimum font size on a page in points, also of text in drawings."""
 HEADING, PARAGRAPH = 48.0, 44.0
-"""Largest heights in points of a heading and a paragraph on a page that a drawing fills."""
+"""Maximum heights in points of a heading and a paragraph on a page that a drawing fills."""
 FONTS = (("Vera.ttf", "VeraBd.ttf"), ("DejaVuSans.ttf", "DejaVuSans-Bold.ttf"))
 """Plain and bold font files: the first pair is part of reportlab, the second is searched in the system's fonts."""
 TONES = {"plain": INK, "lead": INK, "quiet": QUIET, "warning": WARNING}

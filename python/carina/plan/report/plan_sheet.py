@@ -44,7 +44,7 @@ from carina.version import VERSION
 from carina.volume import Volume, ct_digest
 
 AROUND_MM = 30.0
-"""Distance in mm from the target's edge beyond which pleura is not searched and is stated as *more than*."""
+"""Maximum distance in mm from the target's edge at which pleura is searched; beyond it the text is *more than*."""
 TOUCHES_MM = 2.0
 """Distance in mm below which tissue cannot be distinguished from the blurred edge of a nodule."""
 

@@ -42,9 +42,9 @@ STILLS = (
     "outlined."
 )
 OF_ROUTE = ("plan.verdict", "plan.limit", "needle.", "route.narrowest")
-"""Beginnings of the codes of reasons that the section of the route repeats."""
+"""Beginnings of the codes of reasons that are listed again in the route's section."""
 MAX_LINES_BEFORE_TREE = 4
-"""Largest number of lines of reasons with which the tree fits on the first page, also on Letter in a wide typeface."""
+"""Maximum number of lines of reasons with which the tree fits on the first page, also on Letter in a wide typeface."""
 TREE_BELOW_TARGET, TREE_ALONE = 110.0, 330.0
 """Height of the tree in points, on the first page and on a separate page."""
 NOT_ASKED = "\u2013"

@@ -28,10 +28,10 @@ LUNG_HU = (1500.0, -600.0)
 """Width and level of the lung window, HU."""
 WIDTH_PX = 440
 MIN_MM, ROOM_MM = 70.0, 50.0
-"""Least width of a slice in mm, and least excess in mm of the width over the length of the target."""
+"""Minimum width of a slice in mm, and minimum excess in mm of the width over the length of the target."""
 PROOF_MM = 44.0
 THICK_MM = 1.5
-"""Largest distance in mm of a line from a slice at which the line is drawn as in the plane of the slice."""
+"""Maximum distance in mm of a line from a slice at which the line is drawn as in the plane of the slice."""
 
 
 @one_line
@@ -131,7 +131,7 @@ def needle_slice(
     if np.linalg.norm(beside) < 0.05:
         # The needle follows the airway's axis, so any plane through the needle is suitable.
         beside = np.cross(right, np.eye(3)[int(np.argmin(np.abs(right)))])
-    # This direction brings the airway in from the upper left.
+    # With this downward direction the airway enters the picture from the upper left.
     down = beside / float(np.linalg.norm(beside))
     matrix = np.eye(4)
     matrix[:3, :3] = np.stack([right, down, np.cross(right, down)], axis=1)

@@ -17,7 +17,7 @@ from carina.plan.turns.texts import joined, moves_sum_words, moves_words
 TRACING_SIZE = (520.0, 640.0)
 """Width and height of a page of the tracing sheet, in points; the size fits A4 and Letter without a change of scale."""
 SMALL, LINE = 9.0, 11.0
-"""Smallest font size of the sheet, and the distance between lines of this size, in points.
+"""Minimum font size of the sheet, and the distance between lines of this size, in points.
 
 The PDF reduces the sizes of labels by a tenth, so that the smallest text on paper has at least 8 points.
 """
@@ -26,7 +26,7 @@ NAME, NAME_LINE = 12.0, 14.0
 LABELS, GAP = 46.0, 6.0
 """Heights in points of the box with the lines to fill in, and of the space between two parts."""
 MAX_LINES = 7
-"""Largest number of lines of the planner's notes."""
+"""Maximum number of lines of the planner's notes."""
 SUMS = "The moves of the hand are sums up to each fork; the report lists every move."
 NO_MOVES = "The moves of the hand are in the report."
 FREE_NOTES = 36.0
@@ -48,9 +48,9 @@ class _SheetLayout:
     gap: float
     """Space between two rows."""
     face: float
-    """Largest radius of a clock face, whose arrow is longer by a quarter."""
+    """Maximum radius of a clock face; its arrow is longer by a quarter."""
     is_short: bool = False
-    """Whether a row leaves out facts that follow from others: distance from the last fork, sides, other openings."""
+    """Whether a row omits facts that follow from others: distance from the last fork, sides, openings not entered."""
     sums_moves: bool = False
     """Whether a row states the sum of the hand's moves instead of each move."""
     is_list: bool = False
@@ -62,7 +62,7 @@ COMPACT = _SheetLayout(spine=None, clock=17.0, text=40.0, least_row=30.0, gap=4.
 TIGHT = _SheetLayout(spine=None, clock=14.0, text=32.0, least_row=25.0, gap=3.0, face=11.5, is_short=True)
 SUMMED = replace(TIGHT, sums_moves=True)
 LISTED = _SheetLayout(spine=None, clock=14.0, text=32.0, least_row=19.0, gap=3.0, face=7.5, is_short=True, is_list=True)
-"""Layouts of a page: with a diagram; without it; without facts that follow from others; with sums of moves; as a list.
+"""Page layouts, tried in this order: with a diagram; without; without derived facts; with sums of moves; as a list.
 
 The last layouts are for long routes.
 """

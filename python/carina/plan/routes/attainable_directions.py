@@ -29,14 +29,14 @@ CUT_MM = 10.0
 PATH_STEP_MM, WIDEST_MM = 0.5, 12.0
 """Step and largest distance from the centreline, both in mm, of the search for the wall beside the scope's tip."""
 MIN_SIDE_MM, NEAR_MM = 0.1, 0.5
-"""Least distances in mm of an aim from the airway's axis and from the tip; nearer aims have the axis's direction."""
+"""Minimum distances in mm of an aim from the airway's axis and from the tip; nearer aims have the axis's direction."""
 RIGID_STEP_MM = 1.0
 ROUNDED_MM = 0.3
 """Radius in mm of the rounded edge of the tip's face."""
 TIP_LACK_MM, SHAFT_LACK_MM = 0.05, 0.2
 """Depths in mm by which the rigid tip and the bending section may enter the wall, as in the simulated drive."""
 RADII = (1.0, 1.6, 3.0, 8.0)
-"""Radii of the tested arcs of the bending section, as multiples of the sharpest one."""
+"""Radii of the bending section's arcs that are tested, as multiples of its smallest radius."""
 NUM_ON_ARC, BEHIND_MM = 8, 4.0
 OFFSETS = (0.0, 0.5, 1.0)
 """Tested positions of the tip between the centreline and the wall on the side of the target."""
@@ -69,7 +69,7 @@ class AttainableTip:
 @one_line
 @dataclass(frozen=True, slots=True, eq=False)
 class StandingPlace:
-    """Place on the centreline of a branch at which a scope's tip may stand."""
+    """Point on the centreline of a branch at which a scope's tip may be positioned."""
 
     branch_id: int
     along_mm: float
@@ -119,7 +119,7 @@ class TipDirections:
         return min((one for one in found if one is not None), key=lambda one: one.off_deg, default=None)
 
     def around(self, place: StandingPlace, ways: Points) -> Iterator[tuple[Points, NDArray[np.bool_]]]:
-        """Yield positions of the tip at a standing place, each with the directions that are attainable there.
+        """Yield positions of the tip near a centreline point, each with the directions that the tip can take there.
 
         Parameters
         ----------
@@ -224,7 +224,7 @@ class TipDirections:
         return found
 
     def _path(self, branch_id: int) -> tuple[Points, Points, Points]:
-        """Return the path from the root to a branch's end: distances, points, least ball diameter up to each point."""
+        """Return the path from the root to a branch's end: distances, points, smallest ball diameters so far."""
         if branch_id not in self._paths:
             lineage = self._tree.lineage(branch_id)
             points = np.concatenate([lineage[0].points, *(branch.points[1:] for branch in lineage[1:])])

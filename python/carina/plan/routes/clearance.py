@@ -17,7 +17,7 @@ from carina.track import Branch
 Points = NDArray[np.float64]
 
 SHIFTS_MM = (0.5, 0.5, 0.5, 0.5, 0.5, 0.25, 0.12, 0.06)
-"""Steps in mm by which the ball is moved while it grows, so that the ball never passes through a wall.
+"""Steps in mm of the ball's position while the ball grows, so small that it never passes through a wall.
 
 At a fork the centreline cuts the corner up to 2 mm beside the middle.
 """
@@ -29,7 +29,7 @@ The distance to the wall has its peak on the middle line of the lumen. A field w
 0.25 mm of this peak, so the distance is measured beside the line.
 """
 INWARDS_MM = 0.19
-"""Length in mm added to the radius: the nearest wall of eight directions underestimates the radius of a round lumen.
+"""Length in mm added to the measured radius, because the nearest wall in eight directions is too near in a round lumen.
 
 Measured on three CTs with known airways (0.55 to 0.9 mm, radii 0.8 to 4 mm): 0.13 to 0.23 mm.
 """

@@ -25,10 +25,10 @@ NUM_ACROSS = 41
 TURN_MM = 1.0
 """Distance in mm before and behind a ridge between which its direction is measured."""
 BEFORE_MM = 0.5
-"""Distance in mm before a ridge at which the width of the lumen beside it is measured."""
+"""Distance in mm before a ridge at which the width of the lumen on its sides is measured."""
 MAX_HALF_WIDTH_MM = 8.0
 BEHIND_MM = 1.0
-"""Length in mm of an extending plate behind the edge, inside the wall, so that there is no gap between both."""
+"""Length in mm of a plate (which extends a ridge) inside the wall behind the edge, so that plate and wall overlap."""
 HALF_PLATE_MM = 0.2
 """Half of the thickness in mm of an extending plate: what the blur of a CT hides is thin."""
 MAX_RIDGES = 32
@@ -57,7 +57,7 @@ class ForkRidge:
     """Half of the length of the edge, mm."""
 
     def plate_lps(self, longer_mm: float) -> Points:
-        """Return the plate (3, 3) of `WallField.with_ridges` that extends the ridge into the parent, LPS mm.
+        """Return the plate (3, 3) of `WallField.with_ridges` that extends the ridge by a length, LPS mm.
 
         Parameters
         ----------

@@ -28,15 +28,15 @@ Tissue = Literal[
 
 STEP_MM = 0.25
 MIN_MM = 0.5
-"""Length in mm below which a part of the needle path in one tissue is added to the part before it."""
+"""Minimum length in mm of a separate part of the needle path; a shorter part is added to the part before it."""
 SPREAD = 1.645
-"""Number of standard deviations of the needle's error on each side that include 90 % of the needles."""
+"""Half width of the interval that contains 90 % of the needles, in standard deviations of the needle's error."""
 BEYOND_MM = 10.0
 """Distance in mm beyond the target up to which the tissues on the needle path are examined."""
 CROSSED_VESSEL_MM = 0.05
-"""Distance in mm from the needle's line below which a vessel counts as crossed; it would be displayed as 0.0."""
+"""Distance in mm from the needle's line below which a vessel counts as crossed; a text would round it to 0.0."""
 OPEN_MM = 0.8
-"""Largest distance in mm of a target from the lumen at which the needle need not pierce the wall."""
+"""Maximum distance in mm between target and lumen at which the needle need not pierce the wall."""
 
 
 @one_line

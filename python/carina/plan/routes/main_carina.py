@@ -18,7 +18,7 @@ OriginKind = Literal["ridge", "axes", "root", "route"]
 
 SAME_PLACE_MM = 1e-6
 AT_ORIGIN_MM = 0.5
-"""Largest distance in mm from the origin at which a text calls a point *at the origin*."""
+"""Maximum distance in mm from the origin at which a text calls a point *at the origin*."""
 MAIN_BRONCHI = ("RMB", "LMB")
 AXES_NOTE = (
     "no ridge of the main carina was found; distances are measured from the point where the axes of the main bronchi "

@@ -24,7 +24,7 @@ Points = NDArray[np.float64]
 SMOOTH_MM = 1.5
 """Half the length in mm over which the axis of the lumen is averaged: measured centres scatter by some 0.1 mm."""
 WIDE_MM = 4.2
-"""Radius in mm up to which the lumen is widened: no instrument is wider, and a wall field stores up to 4.5 mm."""
+"""Maximum radius in mm of the widened lumen: no instrument is wider, and a wall field stores up to 4.5 mm."""
 CENTRE_MM = 0.1
 """Distance in mm of the axis from a measured centre that does not count: measured centres scatter by this distance."""
 MIN_RADIUS_MM = 1e-3
@@ -161,9 +161,9 @@ class _BranchLumen:
     error_mm: Points
     """Half of the interval of the diameter, mm; NaN where it is unknown."""
     is_open: NDArray[np.bool_]
-    """Whether (n,) the lumen could not be measured at each point, so that its width is open."""
+    """Flags (n,): whether the lumen could not be measured at the point, so that its width is unknown."""
     is_sound: NDArray[np.bool_]
-    """Whether (n,) a section near each point and away from forks was measured."""
+    """Flags (n,): whether a section away from forks was measured near the point."""
 
 
 def _branch_lumen(branch: Branch, wall: WallField, measured: BranchMeasures, passage: Passage) -> _BranchLumen:

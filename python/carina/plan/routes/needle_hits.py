@@ -131,7 +131,7 @@ def ball_hit_shares(
 
 
 def _cone(along: Points, sigma_rad: float, num_rings: int, num_round: int) -> Points:
-    """Return directions (n, 3) that represent equal shares of a Gaussian cone round an axis."""
+    """Return directions (n, 3) that each represent an equal share of a Gaussian distribution round an axis."""
     across, up = axes_across(along)
     share = (np.arange(num_rings) + 0.5) / num_rings
     # The angle of a two-dimensional Gaussian has a Rayleigh distribution.

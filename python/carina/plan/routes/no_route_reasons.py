@@ -18,7 +18,7 @@ from carina.volume import Volume
 from carina.volume.point_check import check_in_volume
 
 LOST_MM = 40.0
-"""Largest distance in mm from the target at which an airway that the search lost may lead closer."""
+"""Maximum distance in mm from the target at which an airway that the search lost may lead closer."""
 LOST_KINDS = {"lost", "blocked", "stump", "filled", "leak", "volume"}
 LOBES = {"RUL", "RML", "RLL", "LUL", "LML", "LLL"}
 LUNG_HU = -860.0

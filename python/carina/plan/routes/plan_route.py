@@ -84,15 +84,15 @@ RoutePlace = tuple[int, float, int]
 """ID of the branch that contains a tip, the tip's distance from the root in mm, and the index of the aim."""
 
 PLANNED_SCOPE = "thin"
-"""Default scope: the thinnest one whose channel takes a needle of 1.8 mm."""
+"""Scope of a plan without a stated scope: the thinnest one whose channel takes a needle of 1.8 mm."""
 MAX_ANGLE_DEG = 100.0
-"""Largest angle in degrees between needle and airway's axis; a needle at a larger angle would hit the scope."""
+"""Maximum angle in degrees between needle and airway's axis; a needle at a larger angle would hit the scope."""
 MAX_ROUTES = 5
 MAX_AIMS = 3
 SAME_PLACE_MM = 0.01
-"""Largest difference in mm along a branch between two positions that count as the same position."""
+"""Maximum difference in mm along a branch between two positions that count as the same position."""
 APART_MM = 4.0
-"""Least distance in mm between the scope positions of two routes to one aim."""
+"""Minimum distance in mm between the scope positions of two routes to one aim."""
 BEYOND_MM, MIN_MARGIN_MM, ROUND_MM = 10.0, 3.0, 6.0
 """Margins in mm of the examined box: beyond the target, beside the needle, and for the reach of image filters."""
 MAX_BOX_MM = 60.0
@@ -126,12 +126,12 @@ class PlannedRoute:
     aim: int = 0
     """Index of the aim among the plan's aims, from 0."""
     outlook: Outlook = "may reach"
-    """Whether scope and tool reach the target: by the drive of `carina.plan_route`.
+    """Whether scope and tool reach the target, as the simulated drive of `carina.plan_route` shows.
 
     Without drives (``drives=0``) it is estimated from width, bend, doubts, reach and attainable directions.
     """
     chance: float = 1.0
-    """Probability of reaching the target, by the same criteria."""
+    """Probability, 0 to 1, that scope and tool reach the target by the checks that determine ``outlook``."""
     limits: tuple[str, ...] = ()
     """Reasons why the scope or the tool does not, or may not, reach the target."""
     bend_deg: float = 0.0

@@ -25,7 +25,7 @@ OUTLOOKS: tuple[Outlook, ...] = ("reaches", "may reach", "does not reach")
 RANK: dict[Outlook, int] = {outlook: rank for rank, outlook in enumerate(OUTLOOKS)}
 
 DEEP_MM = 8.0
-"""Length in mm of the needle in the target that suffices for a sample."""
+"""Length in mm of needle inside the target that suffices for a sample."""
 BEND_SIGMA_DEG = 8.0
 """Standard deviation in degrees of the angle that a route requires of the bending section (common knowledge)."""
 POINTS, BARELY = 0.5, 0.1
@@ -36,9 +36,9 @@ The second share is small, because a needle pass can be repeated.
 DEPTH_SIGMA_MM = 0.5
 """Standard deviation in mm of the position of the target's edge along the needle (common knowledge)."""
 MIN_SPARE_MM = DEPTH_SIGMA_MM * NormalDist().inv_cdf(SURE)
-"""Least planned length in mm of a tool beyond the target's edge with which the tool surely reaches the edge."""
+"""Minimum planned length in mm of a tool beyond the target's edge with which the tool certainly reaches the edge."""
 MEDIASTINUM_MM = 2.0
-"""Largest length in mm of mediastinum on the needle path in which no hidden vessel is assumed."""
+"""Maximum length in mm of mediastinum on the needle path in which no hidden vessel is assumed."""
 
 
 @one_line
@@ -53,7 +53,7 @@ class ScoreWeights:
     angle: float = 0.15
     """Weight of the angle between needle and airway, divided by 90 degrees."""
     narrow: float = 0.3
-    """Weight of the width that the scope lacks at the narrowest place of the route.
+    """Weight of the width by which the route's narrowest place is narrower than the scope.
 
     The missing width is relative to the scope's size; the part is 1 if a quarter is missing.
     """

@@ -32,7 +32,7 @@ WidthSource = Literal["sections", "ball"]
 Fit = Literal["fits", "may fit", "does not fit"]
 
 SURE = 0.9
-"""Least probability at which a scope *fits*; at a probability of at most 1 less this value it *does not fit*.
+"""Minimum probability with which a scope *fits*; it *does not fit* with at most 1 minus this probability.
 
 Checks and outlooks of routes use the same limits.
 """
@@ -45,7 +45,7 @@ estimate.
 DEVIATIONS_90 = 1.645
 """Number of standard deviations on each side of the mean that contain 90 % of a normal distribution."""
 PAST_FORK_MM = 1e-3
-"""Distance in mm beyond a fork at which an opening begins, so that the end of the parent does not belong to it."""
+"""Distance in mm beyond a fork at which an opening begins, so that the end of the parent branch is excluded."""
 BALL_SHARE, BALL_SLICES = 0.3, 1.0
 """Error of the largest ball's diameter: share of the diameter, and multiple of the CT's largest spacing.
 
@@ -53,7 +53,7 @@ In painted CTs, 91 % of 248 routes whose last part was treated as unmeasured hav
 (``benchmarks/measurements/diameters.md``).
 """
 NUM_MEASURED = 3
-"""Largest number of trees in the same lumen, such as before and after an edit, whose measures are cached."""
+"""Maximum number of trees of one lumen, such as before and after an edit, whose measures are cached."""
 
 _MEASURED: dict[int, tuple[weakref.ref[Any], list[tuple[Volume, tuple[Branch, ...], TreeMeasures]]]] = {}
 """Measures that plans have computed, by the identity of the lumen; deleted with the lumen."""

@@ -1,4 +1,4 @@
-"""Positions on the airways' centrelines that a scope may have, and their relation to one target."""
+"""Centreline points at which a scope's tip may be positioned, and their distances and directions to one target."""
 
 from __future__ import annotations
 
@@ -32,9 +32,9 @@ FINE_MM = 0.175
 LOWER_LOBES = {"RUL": "RLL", "RML": "RLL", "LUL": "LLL", "LML": "LLL"}
 """Lower lobe of the same lung for each other lobe; a mirrored chest has LML."""
 EITHER_LOBE_MM = 5.0
-"""Distance in mm by which a lower lobe's airways may be farther from a target that may be in either lobe."""
+"""Distance in mm by which a lower lobe's airways may be farther off if the target may be in either of two lobes."""
 INTO_MM, BESIDE_MM = 0.8, 2.0
-"""Largest distances in mm between lumen and nodule for an airway that leads into the nodule, and for one beside it."""
+"""Maximum distances in mm between lumen and nodule for an airway that leads into the nodule, and for one beside it."""
 DOUBTFUL = 0.5
 """Confidence below which a branch counts as doubtful."""
 SMOOTH_MM = 4.0

@@ -31,11 +31,11 @@ from carina.volume.mask_distances import ball_distance, distance_from, extent
 Mask = NDArray[np.bool_]
 
 CLICK_MM = 4.0
-"""Distance in mm from a click within which the nodule's densest voxel is searched; beyond it, there is no nodule."""
+"""Maximum distance in mm from a click to the nodule's densest voxel; farther away, the click selects no nodule."""
 SMOOTH_MM = 0.7
 SEED_SMOOTH_MM = 1.0
 SEED_RISE_SHARE = 0.75
-"""Least density of the seed voxel above lung, as a share of the greatest density above lung near the click.
+"""Minimum density of the seed voxel above lung, as a share of the greatest density above lung near the click.
 
 The seed is the voxel nearest to the click that meets this limit; segmentation starts from it.
 """
@@ -48,7 +48,7 @@ GLASS_TOP_HU = -200.0
 A dense or calcified core does not change this limit.
 """
 BRIGHTER_HU = 90.0
-"""Least difference in HU between a nodule and bone or a vessel with contrast medium beside it."""
+"""Minimum difference in HU between a nodule and bone or a vessel with contrast medium beside it."""
 DENSEST_HU = 100.0
 """Upper limit in HU for the nodule's density; the segmentation threshold is half-way between it and lung.
 
@@ -63,19 +63,19 @@ RIM_DEEP_MM, RIM_BIN_MM, NUM_RIMS = (0.4, 2.8), 0.4, 2
 Each repetition measures the density inside the boundary that the previous repetition found.
 """
 MIN_RING = 20
-"""Number of voxels of a region below which its density is not measured."""
+"""Minimum number of voxels of a region whose density is measured."""
 CAVITY_MM, SMALLEST_CAVITY_MM3 = 0.9, 10.0
 """Least radius in mm of the largest ball inside a cavity, and least volume of a cavity; smaller hollows are noise."""
 MIN_RISE_HU = 110.0
 """Difference in HU from the lung below which a click has no nodule."""
 HALVES_MM = (22.0, 36.0, 60.0)
-"""Half side lengths in mm of the boxes that are searched in turn.
+"""Half side lengths in mm of the boxes that are searched in turn, the smallest first.
 
 The next larger box is used if the nodule comes near the faces of the present box.
 """
 EDGE_MM = 4.0
 MAX_CUT = 0.4
-"""Largest share of a nodule's surface that the edge of the CT may cut off."""
+"""Maximum share of a nodule's surface that the edge of the CT may cut off."""
 OPENINGS, OPENINGS_AT_WALL = (0.6, 0.7, 0.8), (0.4, 0.5, 0.6, 0.7, 0.8)
 """Radii of the opening that removes vessels, as shares of the radius of the largest ball in the nodule.
 
@@ -85,15 +85,15 @@ smaller shares, because large balls remove the edges of a nodule with a flat sid
 WIDE_OPENINGS_MM = (4.0, 5.5, 7.5)
 """Radii in mm of the openings that are tried first in a large nodule; few vessels in the lung are wider."""
 MAX_TAIL_RADII = 2.4
-"""Largest distance of a part of a nodule from the nodule's middle, in radii; a part farther away is a vessel."""
+"""Maximum distance of a part of a nodule from the nodule's middle, in radii; a part farther away is a vessel."""
 WIDE_OFF_MM = 0.5
-"""Least uncertainty in mm of the wall's position behind a nodule with a wide contact."""
+"""Minimum uncertainty in mm of the wall's position behind a nodule with a wide contact."""
 MIN_FREE = 0.35
-"""Least share of the surface of a nodule with a wide contact that faces the lung."""
+"""Minimum share of the surface of a nodule with a wide contact that faces the lung."""
 RIM_MM = 1.6
 """Distance in mm from a sharp edge over which the blur of a CT spreads the edge."""
 STUB_MM = 2.0
-"""Largest length in mm of a removed part that still belongs to the nodule; longer removed parts are vessels."""
+"""Maximum length in mm of a removed part that still belongs to the nodule; longer removed parts are vessels."""
 FILM_MM = 1.1
 """Radius in mm of the largest ball below which tissue on the wall is unevenness of the wall, not a nodule."""
 FILLET_MM = 3.0
@@ -176,7 +176,7 @@ class Boundary:
         """Whether ground glass surrounds a denser part (a part-solid nodule)."""
 
     def _state(self) -> dict[str, Any]:
-        """Return the attributes that `_grow` sets."""
+        """Return the attributes that `_grow` sets, so that they can be restored."""
         return {name: getattr(self, name) for name in GROWN}
 
     def _restore(self, state: dict[str, Any]) -> None:
@@ -276,7 +276,7 @@ class Boundary:
             self.touches.append("vessel")
 
     def _openings_mm(self, radius_mm: float) -> list[float]:
-        """Return the radii in mm of the openings that are tried in turn; ``radius_mm`` is that of the largest ball."""
+        """Return the radii in mm of the morphological openings to try; ``radius_mm`` is that of the largest ball."""
         shares = OPENINGS_AT_WALL if self.wall.any() else OPENINGS
         usual = [share * radius_mm for share in shares]
         # The vessels of a mass are thin compared with it, but its lobes are not.

@@ -21,9 +21,9 @@ Mask = NDArray[np.bool_]
 SHELL_MM = 4.0
 """Thickness in mm of the shell of lung beyond the rim, from which the density of the lung is measured."""
 MOUTH_MM = 2.5
-"""Uncertainty in mm of the position of the cut between a nodule and a vessel that leaves it."""
+"""Uncertainty in mm of the position at which a vessel is cut off from a nodule."""
 CORE_MM = 1.5
-"""Depth in mm below the boundary beyond which the blur of the edge has no effect."""
+"""Depth in mm below a nodule's boundary beyond which the edge's blur has no effect on the density."""
 RING_MM, RING_SHOWS, ALIKE = (0.8, 1.6), 0.97, 0.8
 """Depth range in mm below the boundary, and two shares of the nodule's rise over lung at this depth.
 
@@ -31,7 +31,7 @@ A uniform nodule has 0.84 to 0.93 of its rise at this depth because of blur; a n
 """
 MAX_SHARE = 1.5
 SMALL_MM, SMALL_OFF = 2.4, 0.2
-"""Largest radius in mm of a small nodule (its largest ball), and the error of its boundary in slice distances."""
+"""Maximum radius in mm of a small nodule (its largest ball), and the error of its boundary in slice distances."""
 FAINT_SHARE, FAINT_HU, FAINT_MM, FAINT_SLICES_MM = 0.22, 80.0, 1.5, 1.5
 """Limits for thin vessels that leave a nodule: share of the nodule's rise, rise in HU, length in mm, spacing in mm.
 
@@ -40,14 +40,14 @@ In slices thinner than the last number, the blur of the nodule itself stays belo
 THIN_OFF = 0.25
 """Error in slice distances of the boundary of a cavity's thin wall."""
 DOUBT_SHARE = 0.25
-"""Least relative error of the volume at which a note names the places where the boundary is uncertain."""
+"""Minimum relative error of the volume at which a note names the places where the boundary is uncertain."""
 PLACES = {
     "pleura": "the chest wall, the mediastinum or the diaphragm",
     "vessel": "a vessel",
     "edge of the CT": "the edge of the CT",
 }
 SMALLEST_PART_MM3 = 15.0
-"""Least volume in mm3 of a denser part (3 mm across); a smaller one may be the end of a vessel."""
+"""Minimum volume in mm3 of a denser part (3 mm across); a smaller one may be the end of a vessel."""
 
 
 def measured(grown: Boundary, coarsest_mm: float) -> Nodule:
@@ -222,7 +222,7 @@ def _error(
     edge_mm = (0.6 if not is_alike else 0.05 if kind == "solid" else 0.25) * max(coarsest_mm, 0.8)
     free = (1.0 - cut_share) * area_mm2 * edge_mm
     cut = cut_share * area_mm2 * 0.5 * coarsest_mm
-    # Noise is correlated over about 4 voxels.
+    # Noise is correlated over about 4 voxels, hence the factor 8 in the error of the volume.
     grain = 1.645 * noise / max(rise, 50.0) * step**1.5 * np.sqrt(8.0 * max(mm3, 1.0))
     return float(np.sqrt(free**2 + cut**2 + grain**2) + 0.02 * mm3)
 

@@ -31,21 +31,21 @@ RING_MM = 16.0
 BEYOND_MM, WIDEST_MM = 12.0, 50.0
 """Width in mm of the ring of lung surface that is fitted round a mass's contact, and the ring's largest radius."""
 LUNGWARD_MM, DEEPEST_MM = 6.0, 14.0
-"""Largest distance in mm between the fitted and the closing's surface, towards the lung and towards the wall."""
+"""Maximum distance in mm between the fitted and the closing's surface, towards the lung and towards the wall."""
 MAX_BEHIND = 0.15
-"""Largest share of the lung near the wall that the fitted surface may cut off."""
+"""Maximum share of the lung near the wall that the fitted surface may cut off."""
 NARROW_MM, DARK_HU, LUNG_MM3 = 1.5, -945.0, 2000.0
 """Limits for lung among the air of a box: half width in mm, least median density in HU, least volume in mm3."""
 MIN_POINTS = 60
 SHALLOW_MM = 3.0
-"""Largest depth in mm below the closing's surface at which a voxel can still belong to a nodule."""
+"""Maximum depth in mm below the closing's surface at which a voxel can still belong to a nodule."""
 DEEP_SEED_MM = 10.0
-"""Largest depth in mm below a wide closing's surface at which a voxel can still belong to a mass."""
+"""Maximum depth in mm below a wide closing's surface at which a voxel can still belong to a mass."""
 ROUNDS = 4
 MIN_BULGE_MM = 2.0
-"""Least depth in mm to which a closing enters a nodule if its surface is only a chord of the contact."""
+"""Minimum depth in mm to which a closing enters a nodule if its surface is only a chord of the contact."""
 FIT_OFF = 0.04
-"""Least uncertainty of the fitted surface at the middle of a contact, as a share of the contact's radius.
+"""Minimum uncertainty of the fitted surface at the middle of a contact, as a share of the contact's radius.
 
 The share of lung that the surface cuts off is added, because a large share shows that the real surface is curved.
 """

@@ -17,12 +17,12 @@ from carina.volume.dicom_structures import Contour
 __all__ = ["OutlineError", "drawn_in"]
 
 PLANE = 0.1
-"""Largest distance of an outline from a slice on which it counts as drawn, as a share of the slice distance.
+"""Maximum distance of an outline from a slice on which it counts as drawn, as a share of the slice distance.
 
 Files round coordinates to 0.01 mm.
 """
 PLANE_MM = 0.06
-"""Least value in mm of the limit for the distance of an outline from its slice; some programs round to 0.1 mm."""
+"""Minimum value in mm of the limit for the distance of an outline from its slice; some programs round to 0.1 mm."""
 SUB_SLICES = 8
 """Number of heights per CT slice at which outlines between slices are sampled; this limits the error to 1/16 slice."""
 OTHER_CT = "open the CT that it was drawn on"

@@ -65,20 +65,20 @@ TUBE_STEP_MM = 0.5
 """Voxel size in mm for examining a target with a radius below `TUBE_COARSE_MM`."""
 TUBE_COARSE_MM = 4.0
 MAX_STEPS = 160
-"""Largest number of voxels along a side of the box round a target; a large mass gets larger voxels."""
+"""Maximum number of voxels along a side of the box round a target; a large mass gets larger voxels."""
 BEYOND_MM = 3.0
-"""Least distance in mm from a target up to which a tube must continue to count as a vessel.
+"""Minimum distance in mm from a target up to which a tube must continue to count as a vessel.
 
 For a target with a larger radius, the tube must continue for that radius. The stump of a thin vessel is shorter.
 """
 TUBE_SHARE = 0.45
-"""Least width of a continuing tube, as a share of the target's width, at which the target may be a vessel.
+"""Minimum width of a continuing tube, as a share of the target's width, at which the target may be a vessel.
 
 The limit was chosen with vessels of three CTs with 3 mm slices and with 25 balls painted into two of them; it was not
 verified with other CTs.
 """
 TUBE_SHARE_IN_AIRWAY = 0.6
-"""Least width of a continuing tube for a lesion in an airway, as a share of the lesion's width.
+"""Minimum width of a continuing tube for a lesion in an airway, as a share of the lesion's width.
 
 The airway's own wall is narrower.
 """
@@ -89,20 +89,20 @@ The boundary's own threshold of 0.5 loses a vessel that narrows.
 """
 TUBE_SHARES = (1.0, 0.9, 0.8, 0.7, 0.6, 0.5, TUBE_SHARE)
 SLENDER = 0.5
-"""Largest ratio of the second to the first main axis of a target that is a piece of a tube; balls have 0.58 or more."""
+"""Maximum ratio of the second to the first main axis of a target that is a piece of a tube; balls have 0.58 or more."""
 THICK_MM, THICK_SHARE = 6.0, 1.5
-"""Least radius in mm of chest wall, mediastinum and diaphragm, and the same as a multiple of the target's radius."""
+"""Minimum radius in mm of chest wall, mediastinum and diaphragm, and the same as a multiple of the target's radius."""
 SHELL_MM = (2.0, 4.0)
 """Range of distances in mm from a target in which surrounding lung is measured; closer voxels are blurred."""
 LUNG_HU, LUNG_SHARE = -500.0, 0.25
-"""Largest density of lung in HU; least share of lung round a target, below which the target may be mediastinum."""
+"""Maximum density of lung in HU; minimum share of lung round a target, below which the target may be mediastinum."""
 LUMEN_EDGE_MM = 1.0
 """Distance in mm outside a lumen within which air belongs to the airway, because blur moves its edge."""
 
 NEAR_AIRWAY_MM = 5.0
-"""Largest distance in mm of a point from a lumen at which the point may select the airway."""
+"""Maximum distance in mm of a point from a lumen at which the point may select the airway."""
 OFF_MM = 1.0
-"""Largest distance in mm of a point from the target that it selects beside an airway."""
+"""Maximum distance in mm of a point from the target that it selects beside an airway."""
 WALL_MM, WALL_SHARE = 1.6, 0.5
 """Thickness in mm of an airway's wall, and the share of a target within the wall above which it may be the wall."""
 IN_LUMEN = "airway wall"

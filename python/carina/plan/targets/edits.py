@@ -180,7 +180,7 @@ def _adds_a_piece(inside: Mask, balls: Mask) -> bool:
 
 
 def _padded(nodule: Nodule, margin_mm: float, also: tuple[Place, float] | None = None) -> tuple[Mask, Place]:
-    """Return a nodule's mask and transform, enlarged by a margin in mm and by the extent of the balls in ``also``.
+    """Return a nodule's mask and transform on a larger grid: extended by a margin in mm and to the balls in ``also``.
 
     ``also`` contains the centres (n, 3), LPS mm, and the radius in mm of the balls, or is None.
     """
@@ -224,7 +224,7 @@ def _main_piece(mask: Mask) -> Mask:
 
 
 def _off(shape: tuple[int, ...], matrix: Place, point: Place) -> NDArray[np.float64]:
-    """Return the distances (nz, ny, nx) of all voxels of a grid from a point, mm."""
+    """Return the distance (nz, ny, nx) in mm of each voxel of a grid from a point."""
     k, j, i = np.indices(shape)
     places = np.stack([i, j, k], axis=-1) @ matrix[:3, :3].T + matrix[:3, 3]
     off: NDArray[np.float64] = np.linalg.norm(places - point, axis=-1)
@@ -232,7 +232,7 @@ def _off(shape: tuple[int, ...], matrix: Place, point: Place) -> NDArray[np.floa
 
 
 def _near(mask: Mask, step_mm: float) -> Mask:
-    """Return a mask dilated by one voxel across faces."""
+    """Return a mask extended by one voxel across faces."""
     return ball_distance(~mask, step_mm, 1.1 * step_mm) <= 1.1 * step_mm
 
 

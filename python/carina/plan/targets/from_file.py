@@ -32,7 +32,7 @@ from carina.volume.io_errors import guarded
 from carina.volume.progress import Watch
 
 MIN_MM2 = 0.01
-"""Least area in mm2 of an outline; a smaller one is a point or a line."""
+"""Minimum area in mm2 of an outline; a smaller one is a point or a line."""
 UNCHECKED = "its file does not say on which CT it was drawn; only its position was checked"
 NO_DICOM = "whether it was drawn on this very CT could not be checked; only its position was"
 PART_OF_SCAN = "the segmentation covers only part"

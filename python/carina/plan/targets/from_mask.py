@@ -17,9 +17,9 @@ from carina.volume import Mask, Volume
 from carina.volume.mask_parts import parts_by_size
 
 CRUMB = 0.05
-"""Largest size of a part of a mask that is ignored as stray voxels, as a share of the largest part's voxels."""
+"""Maximum size of a part of a mask that is ignored as stray voxels, as a share of the largest part's voxels."""
 PIECE_MM = 5.0
-"""Largest distance in mm between a point and the part of a mask that the point selects."""
+"""Maximum distance in mm between a point and the part of a mask that the point selects."""
 
 
 def nodule_from_mask(volume: Volume, mask: Mask | NDArray[np.bool_], *, at_lps: ArrayLike | None = None) -> Nodule:

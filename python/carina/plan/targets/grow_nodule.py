@@ -26,9 +26,9 @@ AIR_HU = -1000.0
 CLOSING_MM = 9.0
 """Radius in mm of the closing of the lumen that estimates the lumen as it would be without a lesion."""
 THINNEST_MM = 1.0
-"""Least radius in mm of the largest ball in a lesion; thinner tissue is unevenness of the wall, or mucus."""
+"""Minimum radius in mm of the largest ball in a lesion; thinner tissue is unevenness of the wall, or mucus."""
 OWN_AIR = 0.9
-"""Least share of airway lumen in the air beside a lesion; air beside a nodule outside the airway is partly lung."""
+"""Minimum share of airway lumen in the air beside a lesion; air beside a nodule outside the airway is partly lung."""
 NOTE = "it stands into an airway; where its base lies in the wall the CT does not show"
 BASE_OFF_MM = 0.5
 """Additional uncertainty in mm of the boundary, because the lesion is assumed to begin at the reconstructed wall.
@@ -84,11 +84,11 @@ def endobronchial_lesion(volume: Volume, wall: WallField, point_lps: NDArray[np.
 
 
 ASIDE_MM = 1.0
-"""Largest distance in mm of a click from a faint nodule, or of a click in air from any nodule."""
+"""Maximum distance in mm of a click from a faint nodule, or of a click in air from any nodule."""
 CLEAR_AIR_HU = -950.0
 """Density in HU below which a point is in air: emphysema (the usual limit), a cyst or an airway."""
 MAX_STEPS = 60
-"""Largest number of voxels from the centre of a box to its side; large masses get larger voxels."""
+"""Maximum number of voxels from the centre of a box to its side; large masses get larger voxels."""
 
 
 @shows_progress

@@ -22,9 +22,9 @@ from carina.volume.mask_distances import ball_distance
 Mask = NDArray[np.bool_]
 
 DRAWN_OFF = 0.5
-"""Error of a drawn boundary in voxels of the CT, by common knowledge (a voxel is the cube of equal volume)."""
+"""Error (standard deviation) of a drawn boundary in voxels of the CT, common knowledge."""
 SOLID_SHARE = 0.6
-"""Least share of solid voxels away from the edge for a solid nodule; a nodule with fewer is part-solid."""
+"""Minimum share of solid voxels away from the edge for a solid nodule; a nodule with fewer is part-solid."""
 MARGIN_MM = 4.0
 LARGEST_MM = 200.0
 

@@ -35,7 +35,7 @@ NoduleKind = Literal["solid", "part-solid", "ground-glass"]
 
 RECORD_VERSION = 1
 MAX_VOXELS = 400**3
-"""Largest number of voxels of a stored mask: a box with sides of 20 cm and voxels of 0.5 mm."""
+"""Maximum number of voxels of a stored mask: a box with sides of 20 cm and voxels of 0.5 mm."""
 _NUMBERS = (
     "volume_mm3",
     "volume_error_mm3",

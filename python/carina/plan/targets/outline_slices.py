@@ -14,20 +14,20 @@ from carina.errors import VolumeImportError
 LINES = 8
 """Number of scan lines per voxel with which an outline's area is sampled."""
 ON_CENTRE = 0.02
-"""Largest distance in voxels between corners and voxel centres for an outline that runs through the centres."""
+"""Maximum distance in voxels between corners and voxel centres for an outline that runs through the centres."""
 ENCLOSED = 0.999
-"""Least share of an outline's area inside another outline for which the first counts as nested."""
+"""Minimum share of an outline's area inside another outline for which the first counts as nested."""
 SAME_OVERLAP = 0.9
-"""Least intersection over union of two outlines that count as one boundary drawn twice."""
+"""Minimum intersection over union of two outlines that count as one boundary drawn twice."""
 SAME_APART_VOX, SAME_APART_OVERLAP = 1.0, 0.7
-"""Largest mean distance in voxels and least overlap of two outlines that are one boundary.
+"""Maximum mean distance in voxels and least overlap of two outlines that are one boundary.
 
 A CT does not show a wall that is thinner than one voxel. The least overlap ensures that small hollows stay holes.
 """
 UNCLEAR_OVERLAP = 0.75
 """Overlap of nested outlines above which they are refused: they may be a thin wall, or drawings by two observers."""
 CLOSES_VOX = 0.005
-"""Largest distance in voxels between the first corner of a loop and the corner that closes the loop."""
+"""Maximum distance in voxels between the first corner of a loop and the corner that closes the loop."""
 
 
 class OutlineError(VolumeImportError):

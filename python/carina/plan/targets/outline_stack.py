@@ -14,11 +14,12 @@ from carina.volume.mask_parts import numbered_parts
 Share = NDArray[np.float32]
 
 SHORT_GAP = 3.0
-"""Gap between two outlines, in slices of the CT, up to which the gap is always filled, as in planning systems."""
+"""Maximum gap between two outlines, in slices of the CT, that is filled whatever the distances of the other
+outlines."""
 GAP_STEPS = 2.0
-"""Gap between two outlines, in typical distances of outlines, up to which it is filled: one omitted outline."""
+"""Maximum gap between two outlines that is filled, in typical distances of outlines: one omitted outline."""
 GAP_DIAMETERS = 1.5
-"""Largest gap between two outlines of one structure, in diameters of the larger outline."""
+"""Maximum gap between two outlines of one structure, in diameters of the larger outline."""
 SHIFTS = 26
 """Number of bisections that find the level at which an interpolated shape has its area: float32 precision."""
 
@@ -98,7 +99,7 @@ class OutlineStack:
 
     @property
     def reach(self) -> float:
-        """Distance to which the structure extends beyond its first and last outline, in slices of the CT."""
+        """Length by which the structure extends beyond its first and last outline, in slices of the CT."""
         return 0.5 * self.step
 
     def at(self, height: float) -> NDArray[np.float64]:
@@ -120,7 +121,7 @@ class OutlineStack:
         return inside
 
     def _end(self, away: float, below: int, above: int) -> float:
-        """Return the share of an end slab at a distance from the last outline: 1 inside, 0 beyond, 0.5 on its face."""
+        """Return the share of an end slab at a distance from the last outline: 1 inside, 0 beyond, 0.5 on the face."""
         reach = self.reach
         if below >= 0 and above < len(self.heights):
             reach = min(reach, 0.5 * float(self.heights[above] - self.heights[below]))

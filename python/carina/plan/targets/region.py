@@ -26,7 +26,7 @@ WHERE_WORDS: dict[Whereabouts, str] = {
 }
 
 TISSUE_HU, OUTER_AIR_HU = -300.0, -940.0
-"""Least density in HU of tissue, and largest density in HU of the air outside the body.
+"""Minimum density in HU of tissue, and maximum density in HU of the air outside the body.
 
 At least 90 % of the voxels of a region must be darker than the second value for the region to be outside the body. Lung
 is brighter, also at full inspiration (about -860 HU) and with most emphysema.
@@ -35,16 +35,16 @@ WALL_HU = -400.0
 THICK_MM = 3.5
 """Radius in mm of the opening that removes vessels from tissue; chest wall, mediastinum and diaphragm remain."""
 LOOK_MM = 12.0
-"""Distance in mm from a target's edge within which the tissue is examined for the target's region."""
+"""Distance in mm from a target's edge up to which the tissue determines the region (lung, pleura, mediastinum)."""
 SHELL_MM = (2.0, 4.0)
 """Range of distances in mm of the shell round a target; the blur of the target's edge ends before the shell."""
 BURIED, BESIDE = 0.6, 0.06
-"""Least shares of thick tissue round a target that is in the mediastinum, and round one beside the pleura.
+"""Minimum shares of thick tissue round a target that is in the mediastinum, and round one beside the pleura.
 
 The shares are measured in the shell of `SHELL_MM`.
 """
 IN_LUMEN = 0.3
-"""Least share of lumen among the voxels within 2 mm of the boundary for a target in an airway."""
+"""Minimum share of lumen among the voxels within 2 mm of the boundary for a target in an airway."""
 
 
 def whereabouts(volume: Volume, nodule: Nodule, *, wall: WallField | None = None) -> Whereabouts:

@@ -20,17 +20,18 @@ from carina.volume.mask_distances import ball_distance
 Point = tuple[float, float, float]
 
 TargetSource = Literal["click", "mask", "seg", "rtstruct", "sphere", "edited"]
-"""Origin of a target's boundary: ``sphere`` is set by hand where the CT shows none, ``edited`` is changed by hand."""
+"""Origin of a target's boundary. ``sphere``: set by the user where the CT shows none; ``edited``: changed by the
+user."""
 
 MAX_AIMS = 3
 AIM_OFF_MM = 1.0
-"""Largest distance in mm at which an aim may be outside the boundary, because of the size of a voxel."""
+"""Maximum distance in mm at which an aim may be outside the boundary, because of the size of a voxel."""
 PRIORITIES = (1, 9)
 NAME_CHARS, NOTE_CHARS, ID_CHARS = 80, 2000, 64
 EDGE_AIM = 0.65
 """Position of an aim in the periphery of a nodule: 0 is the middle, 1 the boundary."""
 APART_MM = 3.0
-"""Least distance in mm between two aims; needles are too inaccurate to distinguish nearer ones."""
+"""Minimum distance in mm between two aims; needles are too inaccurate to distinguish nearer ones."""
 RECORD_VERSION = 1
 _PLAIN = re.compile(r"[^\x00-\x08\x0b-\x1f\x7f\ud800-\udfff]*")
 

@@ -26,10 +26,10 @@ from carina.track import Airways
 from carina.volume import Volume
 
 MAX_FRAMES = 24
-"""Largest number of frames of a clip; a request for more is refused."""
+"""Maximum number of frames of a clip of the flight to a turn; a request for more is refused."""
 SIZES_PX = (64, 512)
 LONGEST_S = 4.0
-"""Longest duration of a clip in s; a longer flight is shown faster."""
+"""Maximum duration of a clip in s; a longer flight is played faster."""
 QUALITY = 70
 """JPEG quality of the strip of frames, 0 to 100."""
 

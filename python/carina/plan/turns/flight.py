@@ -22,7 +22,7 @@ Points = NDArray[np.float64]
 SPEEDS_MM_S = (1.0, 200.0)
 RATES_HZ = (1.0, 120.0)
 TURN_DEG_S = 60.0
-"""Largest mean rotation of the picture in degrees/s that a viewer can follow."""
+"""Maximum mean rotation of the picture in degrees/s that a viewer can follow."""
 SHORTEST_S = 1.0
 SHORT_MM = 1e-3
 

@@ -31,17 +31,17 @@ radius. The angles of all other openings must be at least the third number times
 then inside the opening's outline, so the opening has no clock hour.
 """
 MIN_SHARE = 2e-3
-"""Share of the picture's pixels below which an opening does not count as visible."""
+"""Minimum share of the picture's pixels that a visible opening occupies."""
 HIDDEN_DEG = 2.0
 """Angle in degrees above which an opening counts as hidden: between its visible part and its branch's beginning."""
 MIN_STAND_MM = 3.0
-"""Least distance in mm of the camera from a fork; nearer, single points would determine the line of sight."""
+"""Minimum distance in mm of the camera from a fork; nearer, single points would determine the line of sight."""
 
 
 NEIGHBOUR_HOURS = 0.25
-"""Margin in hours by which the opening to enter must be nearest to the stated hour, compared with other openings."""
+"""Minimum difference in hours between the stated hour's distance to the opening to enter and to other openings."""
 MAX_HOURS = 2.0
-"""Largest change of an hour, in hours, that a small movement of the scope may cause."""
+"""Maximum change of an opening's clock hour, in hours, under a small movement of the scope."""
 SHIFT_SHARE, SHIFT_MM = 0.3, (0.5, 1.5)
 """Error of the eye's position to each side: share of the airway's radius, with least and largest value in mm."""
 TILT_DEG = 5.0
@@ -75,7 +75,8 @@ class Opening:
 
     branch: Branch
     middle_lps: Points
-    """Point in the direction of the middle of the opening's outline, at the distance of the opening, LPS mm."""
+    """Point, LPS mm, on the line of sight to the middle of the opening's outline, as far from the camera as the
+    opening."""
     hours: float
     """Clock hour of the middle in the picture, 12 at the top, clockwise; 0 < hours <= 12."""
     off_deg: float

@@ -42,7 +42,7 @@ Point = tuple[float, float, float]
 TOGETHER_MM = 2.0
 """Distance in mm up to which forks always form one turn, because a tip of 3 mm cannot stop between them."""
 MAX_TOGETHER_MM = 5.0
-"""Largest distance in mm between forks that form one turn.
+"""Maximum distance in mm between forks that form one turn.
 
 Forks form one turn if the branch between them is at most as long as its radius, because the openings of both are then
 in the same lumen.
@@ -61,9 +61,9 @@ BALL_SPACING_MM = 1.0
 """Spacing of the CT in mm that is assumed for the error of an opening that was not measured."""
 MIN_MOVE_MM = 0.5
 CLEAR_DEG = 10.0
-"""Least angle in degrees between an opening and the line of sight at which the clock hour is precise."""
+"""Minimum angle in degrees between an opening and the line of sight at which the clock hour is precise."""
 MAX_DEPTH_MM = 1000.0
-"""Largest accepted insertion depth of the main carina in mm.
+"""Maximum accepted insertion depth of the main carina in mm.
 
 Older cases measured from the start of the tree, with depths up to 500 mm.
 """

@@ -22,7 +22,7 @@ NEAR_MM = 80.0
 PLACES_MM = 0.7
 """Distance in mm between the centreline points from which the distance to a branch's surface is computed."""
 BESIDE_MM = 4.0
-"""Largest distance in mm of a wall outside a branch's surface that still belongs to the branch."""
+"""Maximum distance in mm of a wall outside a branch's surface that still belongs to the branch."""
 BEYOND_RADII = 0.25
 """Distance between the point at which a branch begins and all other lumens, in radii of the branch.
 
@@ -33,7 +33,7 @@ FARTHEST_MM = 80.0
 TOUCH_MM = 0.05
 """Distance in mm from the wall at which a ray has met the wall."""
 MIN_STEP_MM = 0.15
-"""Least step in mm along a ray, so that a ray along a wall ends."""
+"""Minimum step in mm along a ray, so that a ray along a wall ends."""
 MAX_STEPS = 200
 TUBES_REACH_MM = 40.0
 """Distance in mm from a place within which `TubeWall` considers the tubes of a tree."""

@@ -43,7 +43,7 @@ class OtherWay:
     in_view: bool = True
     """Whether the opening is visible from the camera of the turn."""
     opening_lps: tuple[float, float, float] | None = None
-    """Point in the direction of the middle of the opening's outline, at the distance of the opening, LPS mm."""
+    """Point, LPS mm, on the line of sight to the middle of the opening's outline, as far away as the opening."""
     ahead_deg: float = AHEAD_DEG
     """Largest angle in degrees between opening and line of sight at which the opening counts as straight ahead."""
 
@@ -80,7 +80,7 @@ class OtherWay:
 
 
 BEHIND_DEG = 90.0
-"""Least angle in degrees between an opening and the line of sight at which the camera has passed the opening."""
+"""Minimum angle in degrees between an opening and the line of sight at which the camera has passed the opening."""
 
 
 @one_line
@@ -128,9 +128,9 @@ class Turn:
     """Names of short branches that are passed within this turn."""
     at_main_carina: bool = False
     opening_lps: tuple[float, float, float] | None = None
-    """Point in the direction of the middle of the opening's outline, at the distance of the opening, LPS mm."""
+    """Point, LPS mm, on the line of sight to the middle of the opening's outline, as far away as the opening."""
     seen_from_lps: tuple[float, float, float] | None = None
-    """Position of the camera for the hours, LPS mm: about one diameter before the fork, looking at the fork."""
+    """Position of the camera in whose picture hours are measured, LPS mm, about one diameter before the fork."""
     hour_doubt: HourDoubt | None = None
     """Reason why no clock hour is given; None if an hour is given or the opening is straight ahead."""
     ahead_deg: float = AHEAD_DEG

@@ -23,9 +23,9 @@ Answer = Literal["yes", "perhaps", "no", "unknown"]
 ANSWERS: dict[Fit, Answer] = {"fits": "yes", "may fit": "perhaps", "does not fit": "no"}
 """Answer of the check of the diameter for the fit of a scope, which the table of routes states."""
 LONGEST_ENTRY_MM = 250.0
-"""Largest distance in mm from the nose to the upper trachea in an adult (common knowledge)."""
+"""Maximum distance in mm from the nose to the upper trachea in an adult (common knowledge)."""
 LONGEST_TO_CARINA_MM = 320.0
-"""Largest distance in mm from the nose to the main carina in an adult (common knowledge)."""
+"""Maximum distance in mm from the nose to the main carina in an adult (common knowledge)."""
 
 
 @one_line

@@ -22,7 +22,7 @@ _Judged = tuple[float, float, MoveRecorder]
 """Share of needles that hit, angle in degrees to the target, and the recorder of the moves with this result."""
 
 SEARCHED_MM = 5.5
-"""Distance in mm before the end of the route above which the tip is searched again, from twice this distance."""
+"""Distance in mm before the end of the route from which, if the tip is farther off, its last part is driven again."""
 GAIN, MAX_CHANGE_DEG, MAX_MOVES = 0.8, 30.0, 12
 FLEXION_MAX_DEG = 210.0
 GOOD, ENOUGH = 0.95, 0.5
@@ -40,7 +40,7 @@ The lever goes up only, because the rolls cover the full circle.
 NUM_THREADS = 2
 """Number of rolls of the grid that are tried at the same time; the result does not depend on the number."""
 BEST_HOLDS = 4
-"""Number of holds of the grid that are executed as moves: those from which most needles hit."""
+"""Maximum number of holds (roll and lever positions) of the grid that are executed as moves: those with most hits."""
 GRIDS_BACK_MM = (0.0, 3.0)
 """Distances in mm by which the scope is withdrawn before a grid of holds is tried."""
 REFINED_FROM, MAX_ROUNDS, NUM_REFINED = 0.1, 6, 3

@@ -24,7 +24,7 @@ NUM_ON_LINE = 14
 SHARES_AHEAD = np.linspace(0.1, 1.0, NUM_ON_LINE)[None, :, None]
 """Positions at which a line of sight is tested for walls, as shares of its length."""
 SHARES = np.linspace(0.0, 1.0, 9)[:, None]
-"""Tested places between a tip and the centreline as shares of their distance."""
+"""Positions between the tip and the centreline that are tested for walls, as shares of their distance."""
 
 
 class DriveWay:
@@ -171,7 +171,7 @@ class DriveWay:
         return found
 
     def holds(self, tip: Points, along_mm: float) -> bool:
-        """Return whether a tip is in the route's own lumen and not behind a wall in a neighbouring one.
+        """Return whether a tip is in the lumen of the route, not behind a wall in a neighbouring lumen.
 
         Parameters
         ----------

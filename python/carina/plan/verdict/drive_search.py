@@ -26,7 +26,7 @@ from carina.scopes import ScopeDrive, ScopePreset, WallField
 Points = NDArray[np.float64]
 
 EFFORT = 50_000.0
-"""Effort after which the search gives up, in small steps of the model (about 0.1 ms each)."""
+"""Maximum effort of a search for a drive, in small steps of the model (about 0.1 ms each)."""
 ARRIVED_MM = 1.0
 START_MM, START_BEFORE_FORK_MM = 30.0, 20.0
 """Start of the scope in the upper trachea: distance along the route, and least distance before the first fork."""
@@ -34,7 +34,7 @@ BLOCKED_STEPS = 7
 """Number of consecutive advances blocked by the wall after which an attempt ends."""
 ASTRAY_MM = 2.5
 SLACK_MM = 25.0
-"""Largest difference in mm between insertion and progress along the route; beyond it the scope buckles or strays."""
+"""Maximum difference in mm between insertion and progress along the route; beyond it the scope buckles or strays."""
 MAX_STEPS = 700
 ON_COURSE_COSINE = 0.64
 """Cosine of 50 degrees, the largest angle between the tip and the route for a tip that points along the route."""
@@ -48,11 +48,11 @@ HOOK_BLOCKED_STEPS = 4
 PAST_FORK_MM = 6.0
 """Distance in mm beyond a fork up to which the fork still counts as the next one."""
 CONDENSING = 60
-"""Largest number of shorter drives that are tried after a drive has arrived (`condense_drive`)."""
+"""Maximum number of shorter drives that are tried after a drive has arrived (`condense_drive`)."""
 STATION_MM = 2.0
 """Distance in mm along the route between stored copies of an attempt from which other attempts can start."""
 MAX_STORED = 3
-"""Number of the best attempts that are stored, from which later attempts start."""
+"""Maximum number of stored attempts (the best ones), from which later attempts start."""
 
 
 @dataclass(frozen=True, slots=True)

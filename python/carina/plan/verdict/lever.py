@@ -19,12 +19,12 @@ from carina.plan.verdict.drive_search import arrives_by, search_drive
 from carina.scopes import ScopePreset, WallField
 
 SHORTER = ((1.645, 0.95), (0.674, 0.85))
-"""Reductions of the lever's range in standard errors, and the probability reported if a drive arrives with each.
+"""Reductions of the lever's range, in standard errors, each with the probability to report if a drive then arrives.
 
 Each probability is the middle of the range between its reduction and the next one.
 """
 AS_IT_IS = 0.62
-"""Probability reported if a drive arrives with the full lever range but with no reduced range."""
+"""Probability to report if a drive arrives with the full lever range but with no reduced range."""
 
 
 def lever_check(

@@ -47,7 +47,7 @@ __all__ = ["RouteJudge"]
 
 Points = NDArray[np.float64]
 NEAR_MM = 1.5
-"""Largest distance in mm of the tip from the end of the route at which the tip counts as arrived."""
+"""Maximum distance in mm of the tip from the end of the route at which the tip counts as arrived."""
 SLIMMER_MM, THINNEST_MM, SPARE_MM = 0.8, 1.5, 0.2
 """Sizes in mm that choose a thinner substitute for an instrument that may not fit into the airway.
 
@@ -56,16 +56,16 @@ the third size. It is thinner than the airway by the first size, but not thinner
 a substitute shows that the route is possible if the instrument fits, so its verdict is never better than *may reach*.
 """
 BEFORE_MM = 2.0
-"""Least distance in mm of the tip before the end of the route that counts as withdrawn."""
+"""Minimum distance in mm between tip and end of the route at which the tip counts as withdrawn."""
 FIELD_LACK_MM = 0.5
-"""Width in mm by which a narrow lumen is narrower in the sampled wall field than its largest ball."""
+"""Amount in mm by which the sampled wall field narrows a narrow lumen, compared with its largest ball."""
 UNFOUND = 0.5
-"""Probability reported if a scope fits along the route but the search found no drive, which may exist.
+"""Probability to report if a scope fits the route but the search found no drive (which may exist).
 
 The value is common knowledge, not measured.
 """
 EFFORT_PER_TRY = 1000.0
-"""Search effort that is saved for each shorter drive that is tried."""
+"""Saved search effort per shorter drive that is tried."""
 LEVER_EFFORT = 0.3
 """Effort of each search with a reduced lever range, as a share of the effort of the first search.
 

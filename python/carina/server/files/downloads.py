@@ -24,7 +24,7 @@ FILE_STEM = "airways"
 """Stem of every file name, which contains neither the patient nor the case."""
 KEYS_NAME = "key-frames.json"
 FLIGHT_STEM = "flight"
-"""Stem of the file name of a flight, before its number; the recording's own name could identify the patient."""
+"""Beginning of the file name of a flight, before its number; the recording's own name could identify the patient."""
 
 
 class Downloads:

@@ -85,7 +85,7 @@ def safe_suffix(name: str) -> str:
 
 
 class DroppedNames:
-    """Table of neutral file names and the original names that they replace."""
+    """Table from the neutral names of dropped files to their original names."""
 
     def __init__(self) -> None:
         self._uploads: OrderedDict[str, dict[str, str]] = OrderedDict()

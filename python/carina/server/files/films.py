@@ -29,9 +29,9 @@ from carina.session.jobs.background_jobs import Job
 from carina.volume.inserted_structures import picture_mark
 
 WAIT_S = 15.0
-"""Time after which the answer to a request for an unfinished video states that the video is not ready."""
+"""Maximum time in s until a request for a video is answered; the answer then states that the video is not ready."""
 STEMS = {"route": "flight", "key_frames": "key-frames", "recording": "recording"}
-"""Stem of the file name by kind of flight, which contains neither the patient nor the case."""
+"""Beginning of the file name by kind of flight; it contains neither the patient nor the case."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -45,7 +45,7 @@ class FilmOrder:
 
     @classmethod
     def of_query(cls, query: Mapping[str, str]) -> FilmOrder:
-        """Return the order of the parameters of a request.
+        """Return the requested video (flight, format, size) from the parameters of a request.
 
         Raises
         ------
@@ -91,7 +91,7 @@ def _number(query: Mapping[str, str], name: str, usual: float | None = None) -> 
 
 
 def _reported(error: BaseException, job: Job) -> CarinaError:
-    """Return the error of a job as the answer to the request for its video."""
+    """Return the error of a video's job as the answer to the request for the video."""
     if isinstance(error, CancelledError):
         if job.stop_reason is not None:
             return CarinaError(f"the video was cancelled because {job.stop_reason}", code="export.video-lost")
@@ -103,7 +103,7 @@ def _reported(error: BaseException, job: Job) -> CarinaError:
 
 @dataclass(slots=True)
 class _Film:
-    """A requested video."""
+    """Video that a window has requested, with its job and its file."""
 
     done: Future[Path] = field(default_factory=Future)
     num_readers: int = 0
@@ -195,7 +195,7 @@ class Films:
                     self._delete(job_id)
 
     def _forget(self) -> None:
-        """Delete the finished videos, except those that are being sent."""
+        """Delete the finished videos that no response is sending."""
         for job_id, film in list(self._films.items()):
             if film.done.done() and film.num_readers == 0:
                 self._delete(job_id)

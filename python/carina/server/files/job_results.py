@@ -1,4 +1,4 @@
-"""Results of jobs for the requests that wait for them."""
+"""Results of background jobs, stored until the HTTP requests that wait for them read them."""
 
 from __future__ import annotations
 

@@ -19,7 +19,7 @@ class OneShotFileResponse(FileResponse):
     """
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Send the response, and delete the folder of the file."""
+        """Send the file to the client, and delete its folder."""
         try:
             await super().__call__(scope, receive, send)
         finally:
@@ -27,7 +27,7 @@ class OneShotFileResponse(FileResponse):
 
 
 class StoredFileResponse(FileResponse):
-    """Response with a stored file that reports whether the client was sent the whole file.
+    """HTTP response with a stored file, which reports whether the client received the whole file.
 
     Parameters
     ----------
@@ -45,7 +45,7 @@ class StoredFileResponse(FileResponse):
         self._ended = ended
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Send the response, and report its end."""
+        """Send the file to the client, and report whether the client received all of it."""
         status, connected, complete = 0, True, False
 
         async def receive_and_note() -> Message:

@@ -22,9 +22,9 @@ from carina.volume import badges_of
 
 SIDES_PX = (16, 8192)
 UPDATE_S = 20.0
-"""Longest time in s to wait until the renderer shows the newest airways and transfer function."""
+"""Maximum time in s to wait until the renderer shows the newest airways and transfer function."""
 LOOK_S = 0.05
-"""Time in s between two checks whether the renderer shows them."""
+"""Time in s between two checks whether the renderer shows the requested state of the case."""
 DISCONNECT_CHECK_S = 0.2
 """Time in s between two checks whether the client has disconnected."""
 
@@ -43,7 +43,7 @@ class PictureOrder:
 
     @classmethod
     def of_query(cls, query: Mapping[str, str]) -> PictureOrder:
-        """Return the order of the parameters of a request.
+        """Return the size and the marks of the picture from the parameters of a request.
 
         Raises
         ------
@@ -89,7 +89,7 @@ class Pictures:
         self._session = session
         self._one_at_a_time = asyncio.Lock()
         self._waiting: set[int] = set()
-        """Numbers of the windows of which a picture waits for its turn."""
+        """Numbers of the windows whose requested picture waits until other pictures are rendered."""
 
     async def answer(
         self, view: str, query: Mapping[str, str], *, is_disconnected: Callable[[], Awaitable[bool]] | None = None

@@ -29,7 +29,7 @@ PLAN_SUFFIXES = (".mrk.json", ".seg.nrrd")
 DICOM_SUFFIXES = (".seg.dcm", ".sr.dcm", ".pdf.dcm")
 """Suffixes of DICOM files (segmentation, measurements, report), which refer to the CT and need its folder."""
 STEM: dict[ReportKind, str] = {"report": "plan", "tracing": "tracing-sheet"}
-"""Stem of every file name by kind of report, which contains neither the patient nor the case."""
+"""Beginning of the file name by kind of report; it contains neither the patient nor the case."""
 SHEET_SHARE = 0.8
 LOOK_S = 0.2
 # The sandbox gives the report a separate origin without access to the server; the report also has its own policy.

@@ -34,61 +34,63 @@ class Level:
 _SCALES = (1.0, 0.92, 0.84, 0.77, 0.71, 0.65, 0.6, 0.55, 0.5, 0.46, 0.42, 0.385, 0.35, 0.325, 0.3, 0.275, 0.25)
 PLANAR_LEVELS = tuple(Level(scale, FULL_STEP_VOX) for scale in _SCALES)
 AIRWAY_LEVELS = (*PLANAR_LEVELS, *(Level(0.25, step_vox) for step_vox in (0.6, 0.72, 0.86, 1.0, 1.2, 1.4, 1.7, 2.0)))
-"""Levels from fine to coarse: first the resolution falls, then the ray step grows.
+"""Quality levels of the airway view from fine to coarse: first the resolution falls, then the ray step grows.
 
 Each level costs about 0.85 of the level before, so that a budget is never missed by much.
 """
 
 OVER = 1.0
-"""Ratio of a picture's predicted time to its time budget above which a coarser level is chosen."""
+"""Ratio of a picture's predicted time to its time budget above which a coarser quality level is selected."""
 FITS = 0.9
-"""Maximum ratio of a picture's predicted time to its time budget for a newly chosen level, finer or coarser.
+"""Maximum ratio of a picture's predicted time to its time budget at a newly selected quality level.
 
 Levels are a factor of 0.85 apart; between 0.9 and 1 the level does not change (hysteresis).
 """
 DWELL_S = 0.4
-"""Minimum time in s between a change of level and the next finer level; doubled each time a finer level is given up."""
+"""Minimum time in s before a change to the next finer level; it doubles each time a finer level proves too slow."""
 MAX_DWELL_S = 2.0
 REVOKED_WITHIN_S = 1.5
-"""Time in s: a finer level that is left again within this time counts as given up, which doubles :data:`DWELL_S`."""
+"""Maximum time in s at a finer quality level that counts as too slow; a longer stay does not double :data:`DWELL_S`."""
 SMOOTH_FASTER = 0.35
-"""Weight (0..1) in the mean of a new median cost below the estimate; a higher one replaces the estimate at once."""
+"""Weight (0..1) of a new lower cost in the estimated cost; a new higher cost replaces the estimate at once."""
 BESIDE_AMONG = 16
-"""Number of last pictures from which the fixed time per picture (encoding, header, delivery) is estimated.
+"""Number of recent pictures from which the fixed time per picture (encoding, header, delivery) is estimated.
 
 The estimate is the lower quartile of their times outside the rays.
 """
 WAITS_AMONG = 5
-"""Number of last pictures whose median gives the current wait for cores that other programs use.
+"""Number of recent pictures whose median is the present wait for processor cores that other programs use.
 
 With fewer pictures, a single delay would count as a lasting load.
 """
 WAITS_RISE = 1.5
-"""Upper limit of the estimated present wait for cores, as a multiple of the mean wait of the last 16 pictures."""
+"""Maximum estimate of the present wait for cores, as a multiple of the mean wait of the last 16 pictures."""
 RAYS_MATTER = 0.4
-"""Share of the time budget: ray times below this share do not lead to a coarser level."""
+"""Minimum ray time, as a share of the time budget, for which a coarser level is selected."""
 EACH_S = 0.0005
 """Fixed seconds per picture outside the rays, used if the time of the rays is not measured."""
 CLOCK_VARIES = 1.3
-"""Limit of an unmeasured ray time, as a multiple of the lower quartile of the last 16 pictures' ray times.
+"""Maximum assumed ray time of an unmeasured picture, as a multiple of the lower quartile of the last 16 ray times.
 
 The time of a picture above this limit counts as a wait for cores.
 """
 SURPRISE = 0.25
-"""Share of the prediction error after a change of level that corrects the cost of the level."""
+"""Share of the prediction error after a change of the quality level that is added to the level's cost."""
 MAX_SHAPE = math.log(1.3)
 """Limit (natural logarithm) of the learned correction to the expected cost of a level."""
 FORGET = 0.998
-"""Factor per picture by which the learned corrections of the levels decay, so that no error lasts."""
+"""Factor per picture by which learned corrections of the levels' costs decay, so that an error does not last."""
 
 FINDER_BELOW_PER_S = 5.0
 """Pictures per second at the coarsest level below which the viewfinder replaces the view (paper 3.1)."""
 HOPELESS_AMONG = 4
-"""Minimum number of pictures before a large fixed time per picture alone switches to the viewfinder."""
+"""Minimum number of pictures after which a large fixed time per picture alone switches to the cut-plane
+(viewfinder)."""
 RECOVERED = 1.5
-"""Ratio of the predicted rate at the coarsest level to :data:`FINDER_BELOW_PER_S` at which the view returns."""
+"""Minimum ratio of the coarsest level's predicted rate to :data:`FINDER_BELOW_PER_S` at which the airway view
+returns."""
 PROBE_S = 0.010
-"""Target seconds of a probe: a small picture that is rendered to measure the speed and is not shown."""
+"""Intended rendering time in s of a probe: a small picture that measures the speed and is not shown."""
 PROBE_EVERY_S = 0.5
 PROBE_SHARE = 0.05
 """Maximum share of the elapsed time that is spent on probes."""
@@ -122,7 +124,7 @@ class FrameBudget:
         self._speed: float | None = None
         self._recent: deque[float] = deque(maxlen=3)
         self._beside: deque[float] = deque(maxlen=BESIDE_AMONG)
-        """Time in s of each of the last pictures without its ray time."""
+        """Time in s, except the ray time, of each of the recent pictures."""
         self._each_s = EACH_S
         self._clocked: deque[float] = deque(maxlen=BESIDE_AMONG)
         """Log speeds of the last pictures from elapsed time, for pictures without a measured ray time."""
@@ -137,7 +139,7 @@ class FrameBudget:
 
     @property
     def finding(self) -> bool:
-        """Whether the viewfinder replaces the view while moving."""
+        """Whether the cut-plane (viewfinder) replaces the airway view while the tip moves."""
         return self._finding
 
     def predicted_s(self, level: int, pixels: int) -> float:
@@ -173,7 +175,7 @@ class FrameBudget:
         return sum(waits_s[:-1]) / max(1, len(waits_s) - 1)
 
     def learn(self, level: int, pixels: int, seconds: float, rays_s: float | None = None) -> None:
-        """Learn from the time of a rendered picture.
+        """Update the estimated costs with the times of a rendered picture.
 
         Parameters
         ----------
@@ -281,7 +283,7 @@ class FrameBudget:
         return self._finding and now_s >= self._probe_due_s
 
     def probe_scale(self, pixels: int) -> float:
-        """Return the factor on both sides of the full picture that gives the size of a probe."""
+        """Return the ratio of the sides of a probe (a small picture that measures the speed) to the full picture's."""
         last = self.levels[-1]
         expected_s = self.predicted_s(len(self.levels) - 1, pixels)
         return last.scale * min(1.0, math.sqrt(PROBE_S / expected_s)) if expected_s > 0.0 else last.scale

@@ -19,7 +19,7 @@ from carina.server.frames.budget import AIRWAY_LEVELS, OVER, PLANAR_LEVELS, Fram
 DEFAULT_RATE_HZ = 60.0
 """Default target rate of airway pictures while moving, in pictures per second."""
 STILL_AFTER_S = 0.150
-"""Seconds after the last change of its content for which a view counts as moving."""
+"""Time in s after the last change of its content during which a view counts as moving."""
 LONG_S = 0.250
 """Render time in s of a full picture above which a picture of medium quality precedes it."""
 GAP = 0.97
@@ -28,17 +28,17 @@ GAP = 0.97
 A little less than 1, so that input that arrives at the same rate with a jitter of 1 ms is rendered without delay.
 """
 ALONE_FITS = 0.95
-"""Fraction of the target period that an airway picture may take while no other view moves."""
+"""Maximum render time of an airway picture while no other view moves, as a fraction of the target period."""
 OTHERS_SHARE = 0.35
-"""Render time of all other views per second of render time of the moving airway view."""
+"""Maximum render time of all other views, per second of render time of the moving airway view."""
 OTHERS_MOVE_S = 0.5
-"""Seconds after the last change of any other view for which the other views count as moving."""
+"""Time in s after the last change of another view during which the other views count as moving."""
 OTHERS_TARGET_S = 0.025
-"""Target seconds of one picture of another view while the airway view does not move."""
+"""Intended render time in s of a picture of another view while the airway view does not move."""
 MAX_CREDIT_S = 0.25
 MAX_IN_FLIGHT: dict[str, int] = {LEAD_VIEW: 3}
 LOST_AFTER_S = 3.0
-"""Seconds without acknowledgement after which a picture counts as lost, so that the client gets new pictures."""
+"""Time in s without acknowledgement after which a picture counts as lost, so that the client gets new pictures."""
 
 FINDER, MOVING, PAUSED, FULL = 0, 1, 2, 3
 """Quality grades of a picture, from coarse (``FINDER``) to final (``FULL``); ``PAUSED`` is medium quality at rest."""

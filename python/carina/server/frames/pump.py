@@ -31,7 +31,7 @@ MOVING_QUALITY = 85
 STILL_QUALITY = 95
 STATUS_EVERY_S = 0.5
 MAX_SHOWN = 64
-"""Number of sent airway pictures that are stored so that a click in one of them can be resolved."""
+"""Maximum number of sent airway pictures that are stored so that a click in one of them can be resolved."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -96,7 +96,7 @@ class TokenGate:
         self.num_refused = 0
 
     def admits(self, token: str) -> bool:
-        """Return whether a token is that of the link; count a wrong token."""
+        """Return whether a token is that of the observers' link; count a wrong token."""
         if token.isascii() and secrets.compare_digest(token, self.token):
             return True
         self.num_refused += 1
@@ -139,7 +139,7 @@ class Gate:
         return f"{self.set_cookie}; Max-Age={COOKIE_S}"
 
     def new_token(self) -> str:
-        """Return a new token for a start URL; the token works once, and again for the user of this process."""
+        """Return a new token for a start URL: valid once for any user, and repeatedly for the user of this process."""
         token = secrets.token_urlsafe(32)
         with self._lock:
             self._tokens.add(token)

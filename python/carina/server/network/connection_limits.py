@@ -21,7 +21,7 @@ from weakref import WeakKeyDictionary
 logger = logging.getLogger(__name__)
 
 ACCEPT_AT_ONCE = 16
-"""Number of connections that the server accepts before it handles the first of them."""
+"""Maximum number of connections that the server accepts before it handles the first of them."""
 WAITING_IN_LINE = 512
 """Backlog of the listening socket: connections that wait in the operating system and use no file descriptor."""
 RESERVED = 64
@@ -31,7 +31,7 @@ LIFE_S = 60.0
 """Maximum lifetime in seconds of an unauthenticated connection; sending a page takes only seconds."""
 LOG_EVERY_S = 60.0
 LOG_FROM = 20
-"""Minimum number of closed connections for a log line: browsers open spare connections and never use them."""
+"""Minimum number of closed connections for a log line; browsers open spare connections that they never use."""
 
 
 def unauthenticated_limit() -> int:
@@ -110,7 +110,7 @@ class UnauthenticatedConnections:
         )
 
     def refuse_new(self) -> None:
-        """Abort every connection that arrives from now on, because the server shuts down."""
+        """Abort every connection that arrives after this call, because the server shuts down."""
         self._is_over = True
 
     def abort(self, transport: asyncio.Transport) -> None:

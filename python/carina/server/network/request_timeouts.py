@@ -13,9 +13,9 @@ from uvicorn.protocols.http.h11_impl import H11Protocol
 from carina.server.network.connection_limits import UnauthenticatedConnections
 
 FIRST_REQUEST_WITHIN_S = 10.0
-"""Timeout in seconds for request headers, from the connection or the first byte of a later request to their end."""
+"""Maximum time in s from the connection, or from the first byte of a later request, to the end of its headers."""
 BODY_WITHIN_S = 30.0
-"""Timeout in seconds between two parts of a request body; it does not count while the server reads slowly."""
+"""Maximum time in s between two parts of a request body; the time in which the server reads slowly is excluded."""
 
 
 class TimeoutProtocol(H11Protocol):

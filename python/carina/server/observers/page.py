@@ -40,10 +40,10 @@ MAX_WATCHERS = 4
 """Maximum number of observers; the windows of the workstation are not counted."""
 MAX_MESSAGE_BYTES = 8192
 MAX_BYTES_PER_S = 65_536
-"""Largest number of bytes per s that one observer may send; 600 messages have about 50,000 bytes."""
+"""Maximum number of bytes per s that one observer may send; 600 messages have about 50,000 bytes."""
 WRONG_TOKEN_WAIT_S = 0.5
 CLOSE_TIMEOUT_S = 1.0
-"""Time in s during which observers can receive the reason before the page closes."""
+"""Maximum time in s in which observers can receive the reason for the page's end before it closes."""
 
 
 @dataclass(slots=True)
@@ -112,7 +112,7 @@ class ObserverPageServer:
 
     @cached_property
     def problem(self) -> str | None:
-        """Reason, as a message for the user, why the page cannot be opened; None if it can."""
+        """Message for the user why the page cannot be opened; None if it can be opened."""
         if self._web is None:
             return not_built("the window")
         if importlib.util.find_spec("cryptography") is None:

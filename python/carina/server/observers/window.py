@@ -21,7 +21,7 @@ ERRORS_WITHOUT_NAMES = frozenset({"session.watching", "session.pick", "session.n
 
 
 def observer_notes(notes: Sequence[wire.CaseNote]) -> tuple[wire.CaseNote, ...]:
-    """Return the notes that are shown permanently, without file names in their texts."""
+    """Return the permanent notes of the case, without file names in their texts."""
     return tuple(replace(note, words=_note_text(note)) for note in notes if note.badge)
 
 
@@ -31,7 +31,7 @@ def _note_text(note: wire.CaseNote) -> str:
 
 
 def observer_error(error: wire.Error) -> wire.Error:
-    """Return an error with its code; its text stays only if it cannot contain a file name."""
+    """Return an error for an observer: its code, and its text only if the text cannot contain a file name."""
     if error.code in ERRORS_WITHOUT_NAMES:
         return error
     return replace(error, message=f"this is not available to observers ({error.code})", action=None)
@@ -46,9 +46,9 @@ MESSAGES_PER_S = 600.0
 """Sustained message limit. With a moving crosshair a 240 Hz page sends 240 positions, 240 probes and 90 acks per s."""
 MESSAGES_AT_ONCE = 1200.0
 INBOX_SHARE = 0.05
-"""Largest share of the event loop's time for messages of an observer; one message takes up to a millisecond."""
+"""Maximum share of the event loop's time for messages of an observer; one message takes up to a millisecond."""
 READ_ONLY = (wire.Ack, wire.Layout, wire.Probe, wire.Pick, wire.AskBranchDetail)
-"""Messages, besides commands, that an observer may send; the session refuses commands that are not on its own view."""
+"""Types of messages, besides commands, that an observer may send; the session refuses commands on other views."""
 
 
 class WatchingWindow(Window):

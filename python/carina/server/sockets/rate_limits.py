@@ -14,7 +14,7 @@ FLOOD_WORDS = "this page sent too many messages and was disconnected; ask the pe
 
 
 MAX_DISCARDED_BYTES = 2 * 1024 * 1024
-"""Number of bytes received after the close frame above which the connection is aborted at once."""
+"""Maximum number of bytes accepted after the close frame; a client that sends more is disconnected at once."""
 QUIET_S = 0.2
 DISCARDS_FOR_S = 1.0
 """Time in s between the close frame and the abort of the connection; bytes received meanwhile are discarded."""
@@ -103,5 +103,5 @@ class BoundedWebSocket(WebSocketsSansIOProtocol):
 
 
 def bounded_websocket(bytes_per_s: float) -> type[BoundedWebSocket]:
-    """Return a WebSocket protocol class that limits each client to ``bytes_per_s``."""
+    """Return a WebSocket protocol class that limits the bytes received from each client to ``bytes_per_s``."""
     return type("Bounded", (BoundedWebSocket,), {"bytes_per_s": bytes_per_s})

@@ -1,1 +1,1 @@
-"""Conversion of the session's values to messages."""
+"""Conversion of the session's values to messages of the wire protocol."""

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 NO_MEDIASTINUM = "Vessels of the mediastinum and the hila are not shown: without contrast the CT does not show them."
 MIN_SHARE = 0.05
-"""Smallest visible share (0..1) of a fissure's lobe borders that is stated as a number; below: *hardly any seen*."""
+"""Minimum visible share (0..1) of a fissure's lobe borders that is stated as a number; below: *hardly any seen*."""
 MIN_LINE_MM = 6.0
 """Minimum length in mm of a vessel branch without children; shorter ones are noise and are not sent."""
 VESSEL_POINT_EVERY_MM = 2.5

@@ -10,7 +10,7 @@ POINT_EVERY_MM = 0.8
 
 
 def thinned(points: NDArray[np.float64], every_mm: float = POINT_EVERY_MM) -> NDArray[np.float64]:
-    """Return points (n, 3) with a minimum distance along the line; both ends stay."""
+    """Return points (n, 3) of a line that are a minimum distance apart along it; both ends are retained."""
     if len(points) < 3:
         return points
     along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])

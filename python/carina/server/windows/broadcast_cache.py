@@ -46,7 +46,7 @@ class SharedTexts:
         """Latest training for observers: message, encoded learners, and text, which all observers receive."""
         self._writing: asyncio.Task[None] | None = None
         self._waiting: dict[Outbox, set[str]] = {}
-        """Topics, for each window's outbox, to mark for sending after the tree has been encoded."""
+        """Topics of each window's outbox that are sent after the tree has been encoded."""
         self._unwritable: tuple[Any, Any] | None = None
         """Airways and measures whose tree could not be encoded; no topic waits for this tree."""
 
@@ -215,7 +215,7 @@ def _tree_of(snapshot: Any) -> tuple[Any, Any]:
 
 
 def _are_same(values: tuple[object, ...], others: tuple[object, ...] | None) -> bool:
-    """Return whether two tuples contain the identical objects (``is``) in the same order."""
+    """Return whether two tuples contain the same objects (``is``) in the same order."""
     if others is None or len(values) != len(others):
         return False
     return all(a is b for a, b in zip(values, others, strict=True))

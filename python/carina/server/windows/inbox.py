@@ -19,7 +19,7 @@ STEER_EVERY_S = 0.004
 MAX_WAITING = 64
 """Number of queued messages above which the server stops reading from the socket."""
 LONGEST_PAUSE_S = 0.1
-"""Longest pause in s before the next message of a client whose share of the event loop's time is limited."""
+"""Maximum pause in s before the next message of a client that may use only a share of the event loop's time."""
 MAX_ADVANCE_MM = 1000.0
 MAX_TURN_RAD = 7.0
 NEWEST_ONLY = (
@@ -38,7 +38,7 @@ NEWEST_ONLY = (
     wire.AskBranchDetail,
     wire.Layout,
 )
-"""Message types of which the first of two consecutive messages, with equal ``view`` if they have one, is dropped."""
+"""Types of messages that replace the message before, if it has the same type and (where they have one) ``view``."""
 
 
 class Inbox:

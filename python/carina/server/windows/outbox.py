@@ -12,7 +12,7 @@ from carina.server.wire.codec import type_name
 MAX_TEXTS = 2000
 """Maximum number of queued text messages; the server disconnects a window that exceeds it."""
 MAX_PICTURES = 200
-"""Maximum number of queued pictures; pictures pile up if unacknowledged ones count as lost and others follow."""
+"""Maximum number of queued pictures; the queue grows if unacknowledged pictures count as lost."""
 TOPICS = (
     "start",
     "state",
@@ -41,7 +41,7 @@ NEWEST_ONLY = (
     wire.Pen,
     wire.Cluster,
 )
-"""Message types of which only the latest is sent: answers that follow the cursor, and repeated status messages."""
+"""Types of messages of which only the latest is sent: answers that follow the cursor, and repeated status messages."""
 
 
 class Outbox:

@@ -28,7 +28,7 @@ logger = logging.getLogger(__name__)
 
 
 class Pointing:
-    """Worker that answers the latest request of each kind in its own thread.
+    """Worker threads that answer the latest request of each kind about the point under the cursor.
 
     Parameters
     ----------

@@ -57,7 +57,7 @@ class Host(Protocol):
         """Call a function in the event loop; callable from any thread."""
 
     def do(self, message: Any, window: Window) -> None:
-        """Execute a message of a window that concerns the session or other windows."""
+        """Execute a message of a window that concerns the session or several windows."""
 
     def detach(self, window: Window) -> None:
         """Remove a window whose connection was closed."""
@@ -259,7 +259,7 @@ class Window:
     # ------------------------------------------------------------ messages from the client
 
     async def admit(self) -> None:
-        """Check the client's message limit before its next message is parsed.
+        """Wait until the client's message limit allows the next message to be parsed.
 
         Raises
         ------

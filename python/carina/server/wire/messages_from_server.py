@@ -82,7 +82,7 @@ class CaseListEntry(FrozenValue, frozen=True):
     scanned_on: Identifier | None = None
     """ISO date of the scan, if its files contain one; observers receive no case list."""
     named: bool = False
-    """Whether the user has named the case."""
+    """Whether the user has given the case a name; otherwise the title is its neutral alias."""
 
 
 class Storage(FrozenValue, frozen=True):

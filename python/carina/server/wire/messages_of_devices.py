@@ -82,7 +82,7 @@ class SetPhone(ClientMessage, frozen=True):
 
 
 class WatchDevices(ClientMessage, frozen=True):
-    """Request to send ``devices`` a few times a second (``on``), or only after changes."""
+    """Request for device values: a few times a second (``on``), or only after changes."""
 
     on: bool
 
@@ -156,7 +156,7 @@ class DevicesMessage(ServerMessage, frozen=True):
 
     control: Control
     filter_latency_ms: float
-    """Delay of the filter at rest, which is its largest delay."""
+    """Delay in ms of the smoothing filter at rest, which is its maximum delay."""
     controls: DeviceControls
     devices: Annotated[tuple[DeviceInfo, ...], Meta(max_length=200)]
     sources: Annotated[tuple[DeviceSource, ...], Meta(max_length=50)]
@@ -183,9 +183,9 @@ class Pen(ServerMessage, frozen=True):
     """State of the tracked pen that moves the tip, and the point that its button marks; sent after each change."""
 
     device: DeviceName | None
-    """Pen that moves the tip; null if no pen does."""
+    """Pen (stylus) that moves the tip; null if no pen does."""
     tracked: bool
-    """Whether the pen reports its position and not only its orientation."""
+    """Whether the pen (stylus) reports its position and not only its orientation."""
     lps: Three | None
     """Position of the pen's tip in the patient, LPS mm; null if the pen is not registered to the patient.
 
@@ -193,6 +193,6 @@ class Pen(ServerMessage, frozen=True):
     in absolute movement.
     """
     off_mm: float | None
-    """Distance in mm of the scope tip from the pen in absolute movement."""
+    """Distance in mm between scope tip and pen while the pen positions the tip absolutely; else null."""
     off_deg: float | None
-    """Angle in degrees between the scope tip and the pen in absolute movement."""
+    """Angle in degrees between scope tip and pen while the pen positions the tip absolutely; else null."""

@@ -198,7 +198,7 @@ class PacsSeriesMessage(StudyInPacs, ServerMessage, frozen=True, tag="pacs_serie
 
 
 class PacsPreviewMessage(ServerMessage, frozen=True):
-    """Facts and picture of a series, from its middle image."""
+    """Properties and picture of a series, read from its middle image."""
 
     series_uid: PacsUid
     slice_mm: float | None

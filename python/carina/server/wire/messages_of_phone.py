@@ -28,7 +28,7 @@ class PhoneSample(PhoneMessage, frozen=True):
     orientation_wxyz: Four | None
     """``earth_from_pen``, with the axes right, down and forward (the phone's upper edge); null without a sensor."""
     held: bool
-    """Whether the tip turns with the phone."""
+    """Whether the user holds the button with which the phone's rotation turns the tip."""
     advance: Wide
     """Movement along the airway: -1 (full speed back) to 1 (full speed forward)."""
 

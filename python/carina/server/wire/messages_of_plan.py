@@ -43,7 +43,7 @@ class NeedleLeg(FrozenValue, frozen=True):
     crossed: tuple[NeedleTissue, ...]
     """Tissues along the needle, in order."""
     in_target_mm: float
-    """Length in mm of the needle inside the target if it goes as aimed."""
+    """Length in mm of the needle inside the target, without errors of the needle."""
     vessel_mm: float | None
     """Distance in mm from the needle's line to the nearest visible vessel; null if no vessel is visible nearby."""
     hit_share: Part | None
@@ -72,7 +72,7 @@ class TargetMark(MarkQuestion, ServerMessage, frozen=True, tag="target_mark"):
     sentences: tuple[Words, ...]
     """Texts: the marked structure, and reasons why it may not be a nodule; empty if the search was stopped."""
     warns: bool
-    """Whether there are such reasons, or no route and no plan can lead to the point."""
+    """Whether the mark has warnings, or neither a route nor a plan can lead to the point."""
 
 
 class RouteOrigin(FrozenValue, frozen=True):
@@ -94,7 +94,7 @@ class FailurePredictors(FrozenValue, frozen=True):
     bifurcation_deg: float | None
     """Angle in degrees between the axes of the tip's branch and of its parent; null in the first branch of the tree."""
     least_mm: float
-    """Least diameter in mm of the lumen in the route's last section."""
+    """Minimum diameter in mm of the lumen in the route's last section."""
     least_error_mm: float
     """Half-width in mm of the interval that should contain the true least diameter in 90 of 100 cases."""
     least_by: Literal["sections", "ball"]
@@ -194,7 +194,7 @@ class StationOnRoute(FrozenValue, frozen=True):
     head: Words
     """Station, place, clock hour and relation to route and target, for an operator at the patient's head."""
     facing: Words
-    """The same for an operator who faces the patient."""
+    """Clock hour of the station for an operator who faces the patient, as text."""
     point_lps: PointLps
     """Landmark on the centreline, LPS mm."""
     direction_lps: PointLps

@@ -23,7 +23,7 @@ class TrainingMessage(ServerMessage, frozen=True):
     scores: Annotated[tuple[FlightScore, ...], Meta(max_length=100_000)]
     """Scores of the flights that were scored since the case was opened, in the order of the flights."""
     verdict: Words | None
-    """Verdict on mastery over the inspections among these flights; null without one."""
+    """Judgement whether mastery was reached over the inspections among these flights; null without one."""
     references: Annotated[tuple[ReferenceScores, ...], Meta(max_length=100)]
     course: CourseInfo
     """Learners of this machine, and the attempts of the chosen one; without learners for observers."""

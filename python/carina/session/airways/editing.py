@@ -31,14 +31,14 @@ if TYPE_CHECKING:
     from carina.track import TreeEdit
 
 MAX_STORED_AIRWAYS = 4
-"""Number of segmented airways that undo can restore; a lumen and its tracker take some hundred megabytes."""
+"""Maximum number of segmented airways that undo can restore; a lumen and its tracker take some hundred megabytes."""
 NUM_EDITS_WHOLE = 6
-"""Number of edited airway trees around the current undo step that stay unpacked.
+"""Number of edited airway trees next to the current undo step that are stored uncompressed.
 
 Other ones are packed to save memory.
 """
 MAX_RENAMINGS_LISTED = 6
-"""Largest number of renamed branches that the message after an edit lists."""
+"""Maximum number of renamed branches that the message after an edit lists."""
 LOOK_S = 0.05
 """Interval, in s, at which an edit that waits for an earlier edit checks whether it was stopped."""
 
@@ -84,7 +84,7 @@ class TreeEditHandlers(CommandHandlers):
         return self.core.jobs.start(f"edit {number}", words, work)
 
     def unfold(self, case: OpenCase) -> None:
-        """Replace packed airways in the document, which undo has restored, by unpacked ones.
+        """Replace compressed airways in the document, which undo has restored, by decompressed ones.
 
         The caller holds the session's lock.
         """

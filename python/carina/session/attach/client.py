@@ -32,7 +32,7 @@ ANSWERS_WITHIN_S = 20.0
 An owner on a busy machine replies late."""
 MAX_ANSWER_BYTES = 64 << 20
 CLOSED_CODES = frozenset({"case.closed", "session.no-case"})
-"""Error codes with which an owner process replies to a command after it has closed the case."""
+"""Error codes of the replies by which the owner of a case reports that it has closed the case."""
 
 
 class LinkLostError(CarinaError):

@@ -33,11 +33,11 @@ from carina.session.store.registry import CaseRecord, CaseRecords
 from carina.volume import VolumeCache
 
 OWNED_WITHIN_S = 20.0
-"""Longest time, in s, for taking over a case whose former owner may hold its lock while it writes the last changes."""
+"""Maximum time in s to take over a case whose former owner still writes the last changes."""
 DOOR_WITHIN_S = 3.0
 LOOK_EVERY_S = 0.05
 CLOCKS_S = 0.1
-"""Tolerance, in s, when the time of a step (counted from the beginning of its case) is compared with a clock time."""
+"""Tolerance in s in the comparison of a step's time (since its case was created) with a clock time."""
 OTHER_CASES = (
     c.OpenPath,
     c.OpenSeries,
@@ -48,7 +48,7 @@ OTHER_CASES = (
     c.BeginAnew,
     c.CloseCase,
 )
-"""Commands that would close this case in the window."""
+"""Commands that are refused because they would close this case in the window."""
 
 
 @dataclass(slots=True)
@@ -60,7 +60,7 @@ class _FollowedCase:
 
 
 class RemoteCase:
-    """A stored case whose owner is another process at first; :meth:`join` creates one.
+    """Case that another process owns and stores; :meth:`join` creates one.
 
     Parameters
     ----------
@@ -308,7 +308,7 @@ class RemoteCase:
                 self._continue_without_owner(link)
 
     def _continue_without_owner(self, link: OwnerConnection) -> None:
-        """Become the owner, or join the new owner; after both fail, work on a named file.
+        """Take over the case, or join its new owner; if neither is possible, work on a named file.
 
         The caller holds this object's lock.
         """

@@ -46,13 +46,13 @@ class ListedCase:
     pictured_s: float | None = None
     begun_s: float | None = None
     named: bool = False
-    """Whether the user has given the case a name."""
+    """Whether the user has given the case a name; otherwise lists show its neutral alias."""
 
 
 @one_line
 @dataclass(frozen=True, slots=True)
 class StorageInfo:
-    """Stored data besides the cases: cached CTs and forgotten cases."""
+    """Data on the disk besides the cases of the list: cached CTs and forgotten cases."""
 
     num_cts: int
     ct_bytes: int

@@ -37,7 +37,7 @@ class ObserverHandlers(CommandHandlers):
 
     @does(c.TakeOver)
     def take_over(self, command: c.TakeOver) -> None:
-        """Become the owner of the case.
+        """Become the process that owns and stores the case.
 
         Raises
         ------

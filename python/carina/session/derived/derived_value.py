@@ -134,7 +134,7 @@ class Derived(Generic[Inputs, Value]):
             return had[1] if had is not None and self._are_same(inputs, had[0]) else None
 
     def standing(self, inputs: Inputs | None) -> Standing:
-        """Return the status of the value of these inputs.
+        """Return whether the value of these inputs is computed, in progress, failed or stopped.
 
         The status is *had* (available), *making*, *failed*, *stopped* or *unwanted* (not requested, or no inputs).
         """
@@ -266,7 +266,7 @@ class Derived(Generic[Inputs, Value]):
             raise
 
     def _end_without_value(self, job: Job, attempt: Attempt[Value] | None, trouble: BaseException) -> None:
-        """End the job without a value; the caller holds the session's lock."""
+        """End the computation without a value; the caller holds the session's lock."""
         self._runs = False
         if not self._is_open():
             return

@@ -50,7 +50,7 @@ class MeasuredAirways:
             self.add(after, found[1])
 
     def retain_only(self, held: Iterable[Any]) -> tuple[tuple[Any, Any], ...]:
-        """Return the cached pairs whose airways are in ``held``, and delete all other pairs."""
+        """Delete the measurements of all airways that are not in ``held``, and return the others."""
         ids = {id(airways) for airways in held}
         self._found = {key: found for key, found in self._found.items() if key in ids}
         return tuple(self._found.values())

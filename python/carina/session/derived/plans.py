@@ -47,10 +47,10 @@ if TYPE_CHECKING:
     from carina.volume.dicom_references import References
 
 MAX_SHOWN = 36
-"""Largest number of voxels along a side of a nodule's displayed surface; finer detail is not visible."""
+"""Maximum number of voxels along a side of a nodule's displayed surface; finer detail is not visible."""
 SAME_PLACE_MM = 0.05
 PAIRS_PER_MESSAGE = 6
-"""Number of verdicts on pairs after which the windows are notified, if no instrument reaches before."""
+"""Number of verdicts on pairs (route, instrument) after which windows are notified even if none reaches the target."""
 
 
 class PlanTask(NamedTuple):
@@ -168,7 +168,7 @@ class CtOrigin:
 
 
 class EarlyVerdicts:
-    """The verdicts that a running job has computed so far, shown until the job has ended.
+    """Verdicts that a running job has computed so far; windows show them until the job ends.
 
     Parameters
     ----------
@@ -313,7 +313,7 @@ class CasePlanning:
         return None if made is None else made.of(task_of(lesion))
 
     def standing(self) -> Standing:
-        """Return the status of the job that computes the plans of all targets."""
+        """Return whether the plans of all targets are computed, in progress, failed or stopped."""
         return self._plans.standing(self._inputs(self._document))
 
     def verdicts(self) -> tuple[Verdict, ...]:
@@ -325,7 +325,7 @@ class CasePlanning:
         return self._early.of(inputs) if made is None else made
 
     def verdicts_standing(self) -> Standing:
-        """Return the status of the job that computes the verdicts on the chosen route."""
+        """Return whether the verdicts on the chosen route are computed, in progress, failed or stopped."""
         return self._verdicts.standing(self._verdict_inputs())
 
     def pairs(self, available: tuple[str, ...] | None) -> tuple[Verdict, ...]:
@@ -372,7 +372,7 @@ class CasePlanning:
         return self._carm.of(self._carm_inputs())
 
     def carm_standing(self) -> Standing:
-        """Return the status of the job that searches the positions of a C-arm."""
+        """Return whether the C-arm positions are computed, in progress, failed or stopped."""
         return self._carm.standing(self._carm_inputs())
 
     def begin_mark(self) -> Callable[[], bool]:
@@ -722,7 +722,7 @@ def carina_depth_mm(options: PlanOptions, route: PlannedRoute) -> float | None:
 
 
 def _target_of(task: PlanTask) -> PlanTarget:
-    """Return the target of a plan task, without the parts that change no plan."""
+    """Return the target of a plan task, without its name and other parts on which the plan does not depend."""
     from carina.plan import PlanTarget
 
     return PlanTarget(

@@ -45,7 +45,7 @@ class DeviceHandlers(CommandHandlers):
 
     @property
     def woken(self) -> threading.Event:
-        """Event that is set when a device has sent a sample that the tip has not followed yet."""
+        """Event that is set while a device sample waits to move the tip."""
         return self.core.device_woken
 
     @property
@@ -128,7 +128,7 @@ class DeviceHandlers(CommandHandlers):
 
     @does(c.ArmPen)
     def arm_pen(self, command: c.ArmPen) -> None:
-        """Set the kind of point (root, start or target) that the pen's first button sets.
+        """Set the kind of point (root, start or target) that the pen's (stylus's) first button sets.
 
         None: the button changes the mode.
 

@@ -19,7 +19,7 @@ from carina.volume import Volume, badges_of
 SIDE_PX = 384
 """Width and height in pixels of each picture of a contact sheet."""
 TURNS_SHARE = 0.3
-"""Share of the progress bar that the search of the openings takes; rendering takes the rest."""
+"""Share of the progress bar for the search of the forks' openings; the rendering of the pictures takes the rest."""
 
 NOT_IN_AIRWAYS = "this path was not searched in the airways; forks are shown for routes in the lumen"
 

@@ -26,7 +26,7 @@ from carina.session.flights.tip_commands import place_pose, view_words
 from carina.session.jobs.background_jobs import Job
 from carina.session.open_case.key_frame_flight import KeyFlight, key_frames
 from carina.session.open_case.open_case import OpenCase
-from carina.session.open_case.point_tests import in_airways
+from carina.session.open_case.point_in_airways import in_airways
 from carina.session.state.snapshot import KeyFramesInfo, ShownKeyFrame, UserMessage
 from carina.volume import Volume
 
@@ -206,7 +206,7 @@ class KeyFrameHandlers(CommandHandlers):
 
     @answers(c.KeyFrameFileQuery)
     def key_frames_to_take_away(self, _question: c.KeyFrameFileQuery) -> KeyFrameFile:
-        """Return the file content of the key frames, which ``carina fly`` renders."""
+        """Return the content of a file with the key frames, from which ``carina fly`` renders a video."""
         case = self.core.needed_case()
         with self.core.lock:
             document, sight = case.document, case.sight

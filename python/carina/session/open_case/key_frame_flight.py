@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from carina.case.document import ChosenKeyFrame, KeyFrames
 from carina.errors import UsageError
 from carina.navigate import AirwayWay, KeyFrame, KeyFrameFlight
-from carina.session.open_case.point_tests import in_airways
+from carina.session.open_case.point_in_airways import in_airways
 from carina.track import way_between
 
 if TYPE_CHECKING:

@@ -61,7 +61,7 @@ __all__ = [
 ]
 
 EXPERT = "expert"
-"""Key of the number of the expert's flight among the numbers of a case; 0 without one."""
+"""Key of the expert flight's number among the numbers stored with a case; 0 for no expert flight."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,7 +83,7 @@ class AirwaySearch:
 
 @dataclass(frozen=True, slots=True)
 class LastMove:
-    """Cause of the last move of the tip."""
+    """Cause of the last move of the tip: a program or the user's hand."""
 
     by: Literal["program", "hand", "device", "key_frames", "flight"] = "program"
     """*hand* is a user at mouse or keyboard; *key_frames* is the flight through the key frames; *flight* is a recorded
@@ -239,7 +239,7 @@ class OpenCase:
 
     @property
     def sight(self) -> Sight:
-        """Sight of the window that was used last."""
+        """Display settings (sight) of the window that was used last."""
         return self.sights.latest
 
     def discard(self) -> None:

@@ -47,9 +47,10 @@ logger = logging.getLogger(__name__)
 
 OPEN_ELSEWHERE = "this CT is already open in another window; changes made here are saved as a separate case"
 HELD_TRIES, HELD_EVERY_S = 4, 0.05
-"""Number and interval (s) of attempts to lock a case, because a check by another program locks it briefly."""
+"""Number of attempts to lock a case, and the interval between them in s, because another program's check may lock
+it."""
 CLOSING_S = 60.0
-"""Time, in s, that Carina waits at its end for a disk that does not respond."""
+"""Maximum time in s that Carina waits at its end for a disk that does not respond."""
 
 
 @one_line
@@ -304,7 +305,7 @@ class Autosave(CommandHandlers):
         return None if record is None else self.opened(record)
 
     def reopened_file(self, case: CaseFile, mark: FileMark | None) -> ReopenedCase | None:
-        """Own the stored case that wrote a case file, and return this case; None if there is no such case."""
+        """Lock the stored case from which a case file was saved, and return it; None if there is no such case."""
         record = self._record_of(case, mark)
         reopened = None if record is None else self.opened(record)
         if reopened is not None and mark is not None and reopened.held.record.copy_path != str(case.path.absolute()):
@@ -390,7 +391,7 @@ class Autosave(CommandHandlers):
             return ()
 
     def remove(self, held: LockedCase) -> None:
-        """Remove a stored case that is not shown after all, and release its lock."""
+        """Remove a stored case that was prepared and is not shown, and release its lock."""
         assert self.records is not None
         if self.records.forget(held.record):
             self.records.remove(held.record.case_id)

@@ -23,7 +23,7 @@ Subscribe = Callable[[Callable[[Event], None]], Callable[[], None]]
 """Adds a listener to a session, and returns the function that removes the listener."""
 
 SHOWN_LABELS = 3
-"""Number of the latest unsaved changes that the message at closing lists."""
+"""Maximum number of unsaved changes, the latest ones, that the message at closing lists."""
 MAX_LABEL_CHARS = 80
 
 
@@ -160,7 +160,7 @@ def check_saved(path: Path, why: str, saved: Moment | None, moment: Moment) -> N
 
 
 class _KnownSteps:
-    """Steps in a saved state of a case, to be found in another state of the same case.
+    """Steps in a saved state of a case, with which the steps of another state are compared.
 
     A step is the same if its label, time and command are equal: a later change of one gesture replaces the step.
     A step without a command is equal to any, because a file does not store every command. Documents are not

@@ -38,14 +38,14 @@ if TYPE_CHECKING:
 logger = logging.getLogger(__name__)
 
 DECIDED_WITHIN_S = 0.4
-"""Longest delay, in s, before a user's change is written; later changes within this time are written with it."""
+"""Maximum delay in s before a user's change is written, together with later changes in this time."""
 MOVED_WITHIN_S = 1.5
-"""Longest delay, in s, before a moved tip is written while nothing else changes."""
+"""Maximum delay, in s, before a moved tip is written while nothing else changes."""
 RECORDED_WITHIN_S = 0.8
-"""Longest delay, in s, before new lines of a running recording are written: a crash loses at most its last second."""
+"""Maximum delay, in s, before new lines of a running recording are written: a crash loses at most its last second."""
 RETRY_S = 2.0
 SLOW_S = 2.5
-"""Time, in s, after which a disk that does not respond is reported and callers stop waiting for it."""
+"""Time in s without response of the disk after which this is reported and callers stop waiting."""
 COPY_EVERY_S = 60.0
 COPY_RETRY_S = 10.0
 NOT_RESPONDING = "the disk has not responded for some seconds; Carina keeps trying"
@@ -135,11 +135,11 @@ class CaseSaver:
         """New values of fields of the case's record that are not written yet, by field name."""
         self._is_urgent = False
         self._elsewhere: _WorkInNamedFileOnly | None = None
-        """The newest work in a named file while the disk of the live file refuses it."""
+        """Latest work that was written to a named file because the disk of the live file does not accept writes."""
         self._is_copy_current = False
         """Whether the named file was written from memory after the last reported change."""
         self._busy: object = None
-        """Object that identifies the write in progress; None between writes."""
+        """Identity of the write in progress; None between writes."""
         self._is_slow = False
         self._saved = None if file is None else moment_of(case)
         """State of the case that the live file contains."""
@@ -160,7 +160,7 @@ class CaseSaver:
             if held.record.used_s > (held.record.copied_s or 0.0):
                 self._num_copied = -1
         self._written_flights: object = None
-        """Object identity of the list of flights that was last written to the live file."""
+        """Identity of the list of flights that was last written to the live file."""
         self._is_ending = self._has_ended = False
         self._pictured = False
         self._is_use_numbered = False

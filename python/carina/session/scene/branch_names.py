@@ -22,9 +22,9 @@ if TYPE_CHECKING:
 AHEAD_MM = 45.0
 """Distance ahead of the lens, mm, up to which names are written in the airway view."""
 ALONG_MM = 15.0
-"""Length of the beginning of a branch, mm, in which the place of its name in the airway view is searched."""
+"""Length in mm of a branch's beginning in which the position of its name in the airway view is searched."""
 STEP_MM = 0.5
-"""Step of the test whether a wall hides a point from the lens, mm."""
+"""Step in mm along the line from the lens to a point in the test whether a wall hides the point."""
 
 Points = NDArray[np.float64]
 

@@ -22,7 +22,7 @@ LayerName = Literal["vessels", "fissures", "lobes", "reach"]
 LAYERS: tuple[LayerName, ...] = get_args(LayerName)
 
 UNIT_MM = 0.25
-"""Unit of the outlines, in mm.
+"""Unit, in mm, of the integer coordinates of encoded outlines.
 
 Outlines are cut in the plane and not in the pixels of an image, so that zooming requires no new cut, and a line that
 leaves the image is still closed.

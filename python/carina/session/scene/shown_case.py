@@ -52,7 +52,7 @@ class SessionRenderer(Protocol):
 @one_line
 @dataclass(frozen=True, slots=True)
 class ShownCase:
-    """All inputs from which the images of a case are rendered, at one time."""
+    """Inputs, valid at one time, from which all images of a case are rendered."""
 
     case_number: int
     """Number that increases with each opened case."""
@@ -77,7 +77,7 @@ class ShownCase:
     lumen: LumenOutline | None = None
     """Outline of the document's lumen for planar views, which does not depend on the renderer's update."""
     layers: ShownLayers | None = None
-    """Structures around the targets, if the user requested them."""
+    """Vessels, fissures and lobes around the targets, if the user requested them; else None."""
     wanted_layers: tuple[LayerName, ...] = LAYERS
     """Layers that the window shows."""
     deformation: ChestDeformation | None = None

@@ -1,4 +1,4 @@
-"""Sights of the windows that show an open case: each window has its own."""
+"""Display settings (sights) of the windows that show an open case, one for each window."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class Sights:
         return self.latest if window is None else self._of_windows.get(window, self.latest)
 
     def change(self, window: int | None, change: Callable[[Sight], Sight], *, is_latest: bool = True) -> bool:
-        """Change the sight of one window, or of all windows if ``window`` is None.
+        """Change the display settings (sight) of one window, or of all windows if ``window`` is None.
 
         Parameters
         ----------

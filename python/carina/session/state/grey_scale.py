@@ -33,9 +33,9 @@ class GreyScale:
     """Lumen threshold from the histogram; None for HU, for which the airway search determines its own threshold."""
     window: GreyWindow
     transfer: TransferFunction
-    """Initial transfer function."""
+    """Transfer function that a new case of this volume gets."""
     off: tuple[FeatureOff, ...] = ()
-    """Features that need HU, if the volume has none."""
+    """Features that are unavailable because the volume has no HU; empty for a volume in HU."""
 
 
 def grey_scale(volume: Volume, parts: Parts) -> GreyScale:

@@ -49,7 +49,7 @@ class CaseSnapshot:
 
     @property
     def off(self) -> tuple[FeatureOff, ...]:
-        """Features that this volume does not support."""
+        """Features that are unavailable for this volume, with reasons."""
         return self.scale.off
 
 
@@ -142,7 +142,7 @@ class SavingInfo(FrozenValue, frozen=True):
     copy_conflict: Literal["changed", "other-case", "not-a-case", "missing", "open-elsewhere"] | None = None
     """Kind of the conflict if the named file has content that this window did not write; the user decides."""
     beside: Words | None = None
-    """Free path beside the named file during a conflict; None without a conflict."""
+    """Path without a file, beside the named file, to which the case can be saved during a conflict; else None."""
     suggested: Words | None = None
     """Suggested path of the named file, if the case has none."""
     title: Words | None = None

@@ -132,7 +132,7 @@ class FlightScore(FrozenValue, frozen=True):
     absent: tuple[Words, ...]
     """Segments of the published list that the case does not have."""
     doubts: tuple[Words, ...]
-    """Reasons why the attempt does not count in a verdict; empty if it counts."""
+    """Reasons why the attempt does not count towards mastery; empty if it counts."""
     notes: tuple[Words, ...]
     moments: tuple[ScoreMoment, ...]
     """At most three moments to replay: the longest contacts, wrong branches, and revisits."""
@@ -184,7 +184,7 @@ class LearnerInfo(FrozenValue, frozen=True):
     """Pseudonym of the learner."""
     num_attempts: Count
     num_counted: Count
-    """Number of the learner's inspections that count in the verdict on mastery."""
+    """Number of the learner's inspections that count towards mastery."""
     mastery: bool | None
     """Whether mastery was reached; null with fewer than six attempts that count."""
     verdict: Words
@@ -202,7 +202,7 @@ class CourseAttemptInfo(FrozenValue, frozen=True):
     num_steps_done: Count
     num_steps: Count
     counts: bool
-    """Whether the attempt counts in the verdict on mastery."""
+    """Whether the attempt counts towards mastery."""
     reasons: tuple[Words, ...]
     """Reasons why an inspection does not count."""
     published: PublishedScores
@@ -247,6 +247,6 @@ class TrainingInfo(FrozenValue, frozen=True):
     scores: tuple[FlightScore, ...] = ()
     """Scores of the flights that were scored since the case was opened, in the order of the flights."""
     verdict: Words | None = None
-    """Verdict on mastery over the inspections among these flights; null without one."""
+    """Judgement whether mastery was reached over the inspections among these flights; null without one."""
     references: tuple[ReferenceScores, ...] = ()
     course: CourseInfo = CourseInfo()

@@ -22,9 +22,9 @@ logger = logging.getLogger(__name__)
 MAX_RECENT = 12
 MAX_BYTES = 4 << 20
 MAX_SCOPES, MAX_NAME = 200, 64
-"""Largest number of available scopes, and largest length of a scope's name; further or longer entries are ignored."""
+"""Maximum number of available scopes, and maximum length of a scope's name; further or longer entries are ignored."""
 CHARS = {"recent_id": 64, "date": 64, "path": 4096}
-"""Largest length of each text of an entry in the list of recent CTs; an entry with a longer text is ignored."""
+"""Maximum length of each text of an entry in the list of recent CTs; an entry with a longer text is ignored."""
 
 
 @one_line
@@ -186,7 +186,7 @@ class LocalStore:
         return value
 
     def _move_aside(self, path: Path) -> None:
-        """Rename an unreadable file to a name that Carina does not read."""
+        """Rename an unreadable settings file, so that Carina no longer reads it."""
         number = 1
         while (target := path.with_name(f"{path.stem}.damaged-{number}{path.suffix}")).exists():
             number += 1

@@ -29,11 +29,11 @@ CopyWriter = Callable[[Path, SaveMark, Placement], None]
 """``write(path, mark, placement)`` writes a whole case with a save mark; the placement moves it to its path."""
 ConflictKind = Literal["changed", "other-case", "not-a-case", "missing", "open-elsewhere"]
 NOT_A_FILE: Final = "not a regular file"
-"""Value instead of a digest for a file that is not regular; no digest equals this value."""
+"""Stored in place of a digest for a file that is not regular; no digest equals this value."""
 MAX_LABEL = 80
 OPEN_TRIES = 4
 MAX_NAME_BYTES = 247
-"""Longest name of a file beside the named file: most file systems allow 255 bytes, of which a journal needs 8 more."""
+"""Maximum bytes in a file name beside the named file: most file systems allow 255, and a journal adds 8."""
 
 
 @one_line
@@ -145,7 +145,7 @@ class NamedFile:
         may_be_missing: bool = False,
         before_placing: Callable[[FileMark], None] | None = None,
     ) -> Path | None:
-        """Write the case, unless other content would be lost.
+        """Write the case to the named file, unless this would overwrite content that Carina has not read or written.
 
         Parameters
         ----------

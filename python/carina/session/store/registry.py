@@ -43,10 +43,10 @@ Version 1 also contained ``title``: the CT's file name or series text.
 """
 RECORD, LOCK, FILE, PICTURE = "record.json", "lock", "case.carina", "picture.jpg"
 FORGOTTEN = ".forgotten"
-"""Name of the folder of forgotten cases, beside the other cases; a forgotten case can be restored for a day."""
+"""Name of the folder of forgotten cases, next to the other cases; a forgotten case can be restored for a day."""
 MAX_RECORD_BYTES: Final = 1 << 20
 MAX_S: Final = 1e11
-"""Largest time in a record, in seconds since 1970 (year 5138), which every clock and calendar can show."""
+"""Maximum time in a record, in seconds since 1970 (year 5138), which every clock and calendar can show."""
 MAX_TITLE_CHARS: Final = 1000
 MAX_PLACE_CHARS: Final = 4096
 FORGOTTEN_FOR_S = 24 * 3600.0
@@ -62,7 +62,7 @@ PlaceText = Annotated[str, Meta(max_length=MAX_PLACE_CHARS)]
 
 
 class CaseRecord(FrozenValue, frozen=True):
-    """Facts about a case that are stored on this machine and not in the case file."""
+    """Data about a case that are stored on this machine and not in the case file."""
 
     case_id: ShortText
     digest: Annotated[str, Meta(max_length=128, pattern=TEXT)]
@@ -269,7 +269,7 @@ class CaseRecords:
         return any(True for folder in folders for _ in folder.glob(f"{FILE}*"))
 
     def hold(self, record: CaseRecord) -> LockedCase | None:
-        """Own a case; return None if another process owns it."""
+        """Lock a case as its owner; return None if another process owns the case."""
         folder = self._folder / record.case_id
         held = self._lock_case(folder, record)
         if held is not None:

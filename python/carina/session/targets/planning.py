@@ -292,6 +292,6 @@ def _airways_of(case: OpenCase) -> Airways:
 
 
 def with_target(document: Document, changed: Target) -> Document:
-    """Return a document in which a target is replaced by its changed value."""
+    """Return a document in which one target is replaced by a changed version of it."""
     targets = tuple(changed if one.target_id == changed.target_id else one for one in document.targets)
     return replace(document, targets=targets)

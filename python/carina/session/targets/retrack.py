@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 NO_START = "mark the start point of the path first: there are no segmented airways to start from"
 SNAP_MM = 5.0
-"""Largest distance, in mm, over which a target outside the lumen is moved into it; the user is notified."""
+"""Maximum distance, in mm, over which a target outside the lumen is moved into it; the user is notified."""
 
 
 def searched_target(

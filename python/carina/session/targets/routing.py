@@ -20,7 +20,7 @@ from carina.session.state.snapshot import UserMessage
 from carina.session.targets.retrack import NO_START, needed_target, searched_target, tracked_target
 
 IN_LUMEN_MM = 0.05
-"""Largest distance in mm by which a point is moved into the lumen that counts as rounding."""
+"""Maximum distance in mm by which a point is moved into the lumen that counts as rounding."""
 
 
 @one_line
@@ -31,7 +31,7 @@ class Mark:
     sentences: tuple[str, ...]
     """Texts: the structure that the click marks, and the reasons for which it may not be a nodule."""
     warns: bool
-    """Whether there are such reasons, or no route and no plan can lead to the point."""
+    """Whether the target mark has warnings, or neither a route nor a plan can lead to the point."""
 
 
 class RouteHandlers(CommandHandlers):
@@ -251,7 +251,7 @@ def _may_be_airway(lesion: Lesion) -> bool:
 
 
 def _wall_at_hand(case: OpenCase) -> WallField | None:
-    """Return the wall field of the document's airways if it has been computed, else None.
+    """Return the wall field of the document's airways if it is already computed, else None.
 
     The segmentation of a target computes a missing wall, so that the result does not depend on earlier jobs.
     """

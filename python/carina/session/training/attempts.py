@@ -56,11 +56,11 @@ if TYPE_CHECKING:
 SAMPLE_S = 0.05
 """Time in s between two samples of the tip's pose that the score of a running attempt uses."""
 SCORE_S = 1.0
-"""Least time in s between two computations of the score of a running attempt."""
+"""Minimum time in s between two computations of the score of a running attempt."""
 PAUSE_SHARE = 10.0
-"""Smallest ratio of the time between two scores of the running attempt to the time that a score takes."""
+"""Minimum time between two scores of the running attempt, as a multiple of the time that one score takes."""
 ENTRY_MM = 5.0
-"""Insertion at which an attempt begins, so that the trachea's cut end is not in the picture."""
+"""Insertion in mm of the scope at which an attempt begins, so that the trachea's cut end is not in the picture."""
 NOT_STORED = "this case is not stored on this machine, so the flight of a task cannot be recorded: save the case first"
 AIRWAYS_CHANGED = "the airways have changed"
 SCOPE_REMOVED = "the scope was taken out of the airways"
@@ -77,12 +77,12 @@ CASE_CLOSED = (
 NOT_SCORED = "the score of {flight} is not stored yet, because its computation was stopped: {remedy}choose Score it"
 
 REFUSED_COMMANDS = (
-    # These commands take the scope out of the airways, or change it.
+    # Commands that take the scope out of the airways, or select another scope.
     c.SetMode, c.ToggleMode, c.GoTo, c.NextFork, c.PreviousFork, c.Place, c.PlacePose, c.ShowPlace, c.SetScope,
     c.FlyFlight, c.FlyKeyFrames, c.ShowKeyFrame, c.SeeTurn, c.StartQuiz,
-    # This command stops the recording.
+    # Command that stops the recording, from which the attempt is scored.
     c.StopRecording,
-    # These commands change the airways, or the instrument, or restore former ones.
+    # Commands that change the airways or the instrument, or restore former ones, so that the score would not be valid.
     c.EditTree, c.SetRoot, c.SetLumenThreshold, c.TakeMask, c.AnswerMask, c.Undo, c.Redo, c.GoToStep,
     # These commands close the case. The end of the session closes it without a command, so windows can be closed.
     c.OpenPath, c.OpenSeries, c.OpenCaseFile, c.OpenDemo, c.OpenRecent, c.OpenFiles, c.OpenVolume, c.BeginAnew,
@@ -101,7 +101,7 @@ class _CaseTraining:
     scores: dict[int, Score] = field(default_factory=dict)
     """Score of each flight that was scored since the case was opened, by its number."""
     comparisons: dict[int, FlightComparison] = field(default_factory=dict)
-    """Comparison of each such flight with the expert's, by its number."""
+    """Comparison of each scored flight with the expert's, by the flight's number."""
 
 
 class TrainingHandlers(CommandHandlers):
@@ -218,7 +218,7 @@ class TrainingHandlers(CommandHandlers):
             case.wall.want(airways, then=lambda _: self._begin(case, airways, task, learner))
 
     def _begin(self, case: OpenCase, airways: Airways, task: Task, learner: str | None) -> None:
-        """Insert the scope and start the recording; the caller holds the session's lock.
+        """Insert the scope into the trachea and start the recording; the caller holds the session's lock.
 
         Parameters
         ----------
@@ -345,7 +345,7 @@ class TrainingHandlers(CommandHandlers):
         return True
 
     def _note_running(self, attempt: LiveAttempt) -> None:
-        """Pass on the state of an attempt to teachers; the caller holds the session's lock.
+        """Send the state of an attempt to teachers; the caller holds the session's lock.
 
         With the lock, a state is never passed on after the end of its attempt.
         """

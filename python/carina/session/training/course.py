@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from carina.session.core import SessionCore
 
 CLASS_ATTEMPTS = 5
-"""Number of attempts of each learner in the teacher's view."""
+"""Maximum number of attempts of each learner in the teacher's view, the latest ones."""
 NO_LEARNER = "the score was not stored: the learner who flew this attempt is not on this machine"
 NO_COURSE = "this session stores no learners: start Carina with a folder for its data"
 
@@ -94,7 +94,7 @@ class CourseHandlers(CommandHandlers):
                 self._read, self._summaries, self._flown, self._info = found, summaries, flown, None
 
     def note_running(self, key: str | None, running: RunningTask | None, title: str = "") -> None:
-        """Pass on what a learner flies to teachers, or its end; a thread writes the file."""
+        """Send the task that a learner flies, or its end, to teachers; a thread writes the file."""
         if key is None or self._running is None:
             return
         if running is None:

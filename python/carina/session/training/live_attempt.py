@@ -23,7 +23,7 @@ from carina.training.task import landmarks_of
 MESSAGE_S = 3.0
 """Time in s for which the window shows an event of the flight, such as a contact with the wall."""
 WARNINGS = frozenset({"wrong-branch", "wrong-segment", "contact", "revisit"})
-"""Kinds of events that report a fault."""
+"""Kinds of events that report a fault of the learner."""
 
 
 class LiveAttempt:
@@ -218,7 +218,7 @@ class LiveAttempt:
 
 
 def _goal_branches(task: Task, tree: AirwayTree) -> dict[str, tuple[int, ...]]:
-    """Return the branches of each step of a task, to which the arrow leads."""
+    """Return, for each step of a task, the branches to which the arrow in the window points."""
     found = {one.name: one.branch_ids for one in segments_of_case(tree)}
     names = (*task.segments, *task.branches, *(() if task.structure is None else (task.structure,)))
     found |= {name: tuple(one.id for one in branches_named(tree, name)) for name in names}

@@ -21,9 +21,9 @@ from carina.training.quiz import turned_choice
 from carina.volume.anatomical_planes import PLANES
 
 SLICE_MM_PER_PX = 0.4
-"""Scale of the slices at a question with three slices."""
+"""Scale in mm per pixel of the slices at a question with three slices."""
 TURN = np.diag([-1.0, -1.0, 1.0, 1.0])
-"""Turn of the picture by 180 degrees."""
+"""Rotation of the picture by 180 degrees."""
 
 
 @dataclass(slots=True)
@@ -38,7 +38,7 @@ class _Quiz:
     at: int = 0
     """Index in ``questions`` of the question that the window shows."""
     sight: Sight = field(default_factory=Sight)
-    """Sight before the quiz, whose crosshair and zoom are restored."""
+    """Display settings (sight) before the quiz, whose crosshair and zoom are restored at its end."""
 
     @property
     def _is_turned(self) -> bool:
@@ -63,7 +63,7 @@ class _Quiz:
 
     @property
     def info(self) -> QuizInfo:
-        """The quiz as windows show it; the right answer only after the trainee's."""
+        """Quiz as windows show it, with the right answer only after the trainee has answered."""
         question = self.questions[self.at]
         is_answered = len(self.answers) > self.at
         return QuizInfo(

@@ -36,7 +36,7 @@ from carina.training import (
 LEVELS = ("beginner", "intermediate", "advanced")
 MAX_MOMENTS = 3
 _FAULTS = ("wrong-branch", "wrong-segment", "contact", "revisit")
-"""Kinds of faults, the first ones the most serious ones."""
+"""Kinds of faults in a flight, the most serious ones first."""
 _TIMELINE: dict[str, Literal["seen", "contact", "wrong", "revisit"]] = {
     "seen": "seen",
     "contact": "contact",
@@ -44,7 +44,7 @@ _TIMELINE: dict[str, Literal["seen", "contact", "wrong", "revisit"]] = {
     "wrong-segment": "wrong",
     "revisit": "revisit",
 }
-"""Kinds of events on the timeline."""
+"""Kind of mark on the timeline, by kind of event."""
 _FAULT_WORDS = {
     "wrong-branch": "wrong branch",
     "wrong-segment": "another segment",

@@ -75,7 +75,7 @@ class CaseQuestions(CommandHandlers):
 
     @answers(c.AirwaysQuery)
     def airways_to_take_away(self, _question: c.AirwaysQuery) -> tuple[Any, Any]:
-        """Return the volume and the airways for an export; both are immutable."""
+        """Return the volume and the airways, both immutable, for an export."""
         with self.core.lock:
             return self.core.needed_case().info.volume, self._airways()
 

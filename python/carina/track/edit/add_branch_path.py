@@ -24,13 +24,13 @@ from carina.track.tree.airway_tree import AirwayTree, Branch
 from carina.volume.model import Volume
 
 MIN_ADDED_MM = 1.0
-"""Least length in mm of a new branch beyond the tree; a shorter branch is already in the tree."""
+"""Minimum length in mm of a new branch outside the tree's tubes; a shorter branch is already in the tree."""
 FORK_RADII = 1.0
 """Distance from a tube's centreline, in radii of the tube, beyond which a path has left the tube (as in the search)."""
 MIN_REMAINING_MM = 3.0
-"""Least length in mm of a tip that remains beyond a new fork; a tip shorter than this or 1.5 slices is removed."""
+"""Minimum length in mm of the tip that remains beyond a new fork; a tip shorter than this or 1.5 slices is removed."""
 MIN_STATED_MM = 5.0
-"""Least length in mm with evidence that a message offers to add; a shorter piece is not worth adding separately."""
+"""Minimum length in mm, with evidence in the CT, of a part of a path that an error message offers to add separately."""
 TIP_POINTS = 3
 """Number of the last points of a branch whose median radius is the radius at its tip."""
 SMOOTH_MM, STEP_MM = 1.0, 1.0
@@ -40,7 +40,7 @@ SMOOTH_MM, STEP_MM = 1.0, 1.0
 @one_line
 @dataclass(frozen=True, slots=True, eq=False)
 class BranchWay(EditPreview):
-    """Path of the branch that :class:`carina.track.AddBranch` would create to a point."""
+    """Path of the branch that :class:`carina.track.AddBranch` would create, from the tree to a given point."""
 
     parent_id: int | None
     """ID of the branch that the new branch leaves; None if there is a problem."""
@@ -209,7 +209,7 @@ def _doubtful(lumen: EditedLumen, evidence: Evidence, points: Points, parent: Br
 
 
 def no_evidence(plan: PlannedWay) -> NoEvidenceError:
-    """Return the error for a path without evidence, which states where the evidence ends and what to do."""
+    """Return the error for a path without evidence in the CT; it states where the evidence ends and what to do."""
     along = along_mm(plan.points)
     first_mm = float(along[int(np.argmax(plan.doubtful))])
     total_mm, doubtful_mm = float(along[-1]), plan.doubtful_mm
@@ -251,7 +251,7 @@ def drawn(chain: Points) -> Points:
 
 
 def _ended(points: Points, ends: Points) -> Points:
-    """Set the ends of a line exactly to given points, at which other branches begin."""
+    """Return a line whose two end points are replaced by given points, at which other branches begin."""
     points[0], points[-1] = ends[0], ends[-1]
     return points
 

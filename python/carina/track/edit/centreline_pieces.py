@@ -15,7 +15,7 @@ Piece = tuple[Points, str]
 
 
 def bridge_pieces(points: Points, kind: str, bridges: Sequence[Points], near_mm: float, least_mm: float) -> list[Piece]:
-    """Divide a line into pieces on and off the bridges that the user made before.
+    """Divide a line into pieces on and off earlier bridges (branches across an obstruction that the user added).
 
     The lumen of a bridge may have been erased and painted or grown again; the part on the bridge stays a bridge,
     because the CT never showed an airway there.
@@ -47,7 +47,7 @@ def bridge_pieces(points: Points, kind: str, bridges: Sequence[Points], near_mm:
 
 
 def kind_of_added(doubtful: NDArray[np.bool_]) -> str:
-    """Return the kind of a branch added along a line: ``tracked`` if the CT shows a wall all along, else ``manual``.
+    """Return the kind of an added branch: ``tracked`` if the CT shows a wall along its whole length, else ``manual``.
 
     A part with evidence only becomes an airway if the user adds it separately. As a piece of a branch with doubtful
     parts it would take part in naming, and change the names of its neighbours.
@@ -61,7 +61,7 @@ def kind_of_added(doubtful: NDArray[np.bool_]) -> str:
 
 
 def painted_pieces(points: Points, was_found: NDArray[np.bool_], least_mm: float) -> list[Piece]:
-    """Divide a line that new paint made reachable: points found by the search are ``tracked``, others ``manual``.
+    """Divide a line through newly painted lumen: points that the search had found are ``tracked``, others ``manual``.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Evidence that a path is an airway: wall round it along its whole length, compared with the lung of the same CT.
+"""Evidence in the CT that a path is an airway: wall round its whole length, compared with paths through the lung.
 
 Across a path, rays run to 16 sides, and their values are averaged over 2.5 mm along the path: an airway continues
 over this length, noise and the rims of vessels do not. The rise of the sides above the middle is compared with the
@@ -35,29 +35,31 @@ Points = NDArray[np.float64]
 # Number of sides to which rays run from the middle of a section (values of the CT across a path).
 NUM_SIDES = 16
 RING_MM = 0.35
-"""Distance in mm between two samples of a ray that is sent from the path across an airway's wall."""
+"""Distance in mm between neighbouring samples on a ray from the path across an airway's wall."""
 REACH_MM, FAR_MM = 3.2, 8.1
-"""Lengths in mm of the rays that find the wall of a small airway, and that of a lobar bronchus."""
+"""Lengths in mm of the rays that find the wall of a small airway, and of those that find the wall of a lobar
+bronchus."""
 OPEN_SIDES = 0.2
-"""Share of the 16 rays of a section that may meet no wall in an airway."""
+"""Maximum share of a cross-section's 16 rays that meet no wall in an airway."""
 CLOSED_BUT = 1
-"""Number of sides without a wall that a section may have and still count as closed."""
+"""Maximum number of sides without a wall in a cross-section that counts as closed."""
 BEND_MM = 3.0
-"""Length in mm before and after a point of a path over which the two directions are measured that define the bend."""
+"""Length in mm before and after a point of a path over which the path's two directions are measured; their angle is
+the bend."""
 HALF_SECTIONS = 2
 """Number of sections on each side of a section that are averaged with the section."""
 TANGENT_MM = 1.5
 AROUND = 0.25
-"""Quantile of the outer samples of a section that gives the value of the lung round the section."""
+"""Quantile of the outer samples of a cross-section that is the value of the lung round it."""
 
 MAX_MISSED_MM = 120.0
-"""Largest distance in mm from the tree at which a path to a new branch is searched.
+"""Maximum distance in mm from the tree to a point to which a path for a new branch is searched.
 
 The bronchi of the lower lobe extend this far from the intermediate bronchus.
 """
 
 TIP_ALLOWANCE = 20.0
-"""Extra cost, in mm along an airway's middle, up to which a path from a tip is preferred to one from the lumen.
+"""Maximum extra cost of a path from a tip that is preferred to a path from other lumen, in mm along an airway's middle.
 
 A thin wall between two airways side by side costs less than this; 1 mm through plain lung costs 25.
 """
@@ -66,12 +68,12 @@ A thin wall between two airways side by side costs less than this; 1 mm through 
 NUM_RUNS = 96
 RUN_MM = 10.0
 NEAREST_MM, FARTHEST_MM = 8.0, 25.0
-"""Least and largest distance in mm of plain lung from the branches of the tree."""
+"""Minimum and maximum distance in mm from the tree's branches of the lung that serves for comparison."""
 MIN_RUNS = 12
 BEST_RUNS = 0.9
 MIN_RISE_HU = 15.0
 NOISE_SHARE, FAR_SHARE = 1.25, 2.0
-"""Least rises from the middle of a path to its wall, whatever the comparison with plain lung shows.
+"""Minimum rises in value from the middle of a path to its wall, even if paths through lung show smaller ones.
 
 NOISE_SHARE is the factor on the noise for near walls; FAR_SHARE is the factor on the near rise for far walls.
 """
@@ -119,7 +121,8 @@ class Evidence:
         }
         usual = max(least, NOISE_SHARE * self.noise)
         self.compared_with = LungBaseline(usual, FAR_SHARE * usual, float(self._scale.level(PLAIN_HU)))
-        """Comparison values of plain lung: rises that a tenth of its best paths' sections exceed, and brightness."""
+        """Comparison values of lung without airways: wall rises that a tenth of its best paths' sections exceed,
+        and brightness."""
         if enough:
             self._compare(lung[:: max(1, len(lung) // NUM_RUNS)][:NUM_RUNS])
 
@@ -138,7 +141,7 @@ class Evidence:
         self.compared_with = LungBaseline(usual, far_usual, bright)
 
     def way(self, lumen: EditedLumen, voxel: NDArray[np.int64], toward: NDArray[np.int64], tips: Voxels) -> Voxels:
-        """Return the (n, 3) voxels of the best path from the lumen to a voxel outside it; the first is in the lumen.
+        """Return the (n, 3) voxels of the path with most wall evidence, from the lumen (first) to a voxel outside it.
 
         Parameters
         ----------
@@ -178,7 +181,7 @@ class Evidence:
         return way
 
     def doubtful(self, points: Points, start: PathStart | None = None) -> NDArray[np.bool_]:
-        """Return whether the CT shows no airway, for each segment of a line.
+        """Return (n-1,) flags, one per segment of a line: True where the CT shows no wall of an airway.
 
         Parameters
         ----------
@@ -204,7 +207,7 @@ class Evidence:
         return found
 
     def crosses_wall(self, points: Points, before: Points) -> bool:
-        """Return whether a line crosses points brighter than any of the former line and than half-way to tissue."""
+        """Return whether a line crosses points brighter than the line ``before`` and than half-way to tissue."""
         new, old = (float(self.enclosures.values_at(_fine(line)).max()) for line in (points, before))
         return new > max(old, self._scale.level(WALL_HU)) + 3.0 * self.noise
 
@@ -259,7 +262,7 @@ def evidence_of(airways: Airways) -> Evidence:
 
 
 def _plain_lung(volume: Volume, base: Airways, brightest: float) -> Voxels:
-    """Return (n, 3) voxels of plain lung, 8 to 25 mm from the branches of a tree, away from lumen and tissue."""
+    """Return (n, 3) voxels of lung without airways, 8 to 25 mm from the tree's branches, away from lumen and tissue."""
     places = _beside(base.tree)
     shape = np.array(volume.shape_zyx[::-1])
     ijk = np.floor(volume.to_ijk(places) + 0.5).astype(np.int64)
@@ -273,7 +276,7 @@ def _plain_lung(volume: Volume, base: Airways, brightest: float) -> Voxels:
 
 
 def _beside(tree: AirwayTree) -> Points:
-    """Return points spread evenly round the branches beyond the main bronchi, the same at each call; LPS in mm."""
+    """Return points spread evenly round the branches beyond the main bronchi, equal at each call; LPS in mm."""
     branches = [branch for branch in tree.branches if branch.generation >= 2] or list(tree.branches)
     points = np.concatenate([branch.points for branch in branches])
     num = 12 * NUM_RUNS
@@ -295,13 +298,13 @@ def _mean_along(values: NDArray[np.float64], half: int) -> NDArray[np.float64]:
 
 
 def _even(points: Points) -> Points:
-    """Return a line of voxel centres with smoothed corners and unchanged ends."""
+    """Return a line of voxel centres with rounded corners and unchanged ends."""
     padded = np.concatenate([points[:1]] * 2 + [points] + [points[-1:]] * 2)
     mean = np.mean([padded[n : n + len(points)] for n in range(5)], axis=0)
     return np.asarray(np.concatenate([points[:1], mean[1:-1], points[-1:]]))
 
 
 def _fine(points: Points) -> Points:
-    """Return a polyline with three interpolated points between each pair of its points."""
+    """Return a polyline with three interpolated points added in each of its segments."""
     share = np.linspace(0.0, 1.0, 4, endpoint=False)[:, None, None]
     return np.asarray((points[:-1] + share * (points[1:] - points[:-1])).reshape(-1, 3))

@@ -1,4 +1,4 @@
-"""Decision whether sections of a path show an airway: a weighted sum of a few measures across the path.
+"""Decision whether cross-sections of a path show an airway: a weighted sum of measures of each section.
 
 The weights are from a logistic regression on the worst 5 mm of paths to branches that were removed from a tree, to
 branches that the search missed, and into plain lung, in phantoms, painted patients and patients; other data were
@@ -21,7 +21,7 @@ STEP_MM = 0.5
 """Distance in mm between two cross-sections at which the evidence for a path is measured."""
 WINDOW_MM = 5.0
 SURE = 1.0
-"""Gain from which a section counts as evident; evident sections at the start of a failed window still pass.
+"""Minimum gain (log odds) of a section that counts as evident; evident first sections pass even in a failed window.
 
 The window is 5 mm long; its sections pass up to the first weaker one.
 """
@@ -31,19 +31,19 @@ BASE = 1.45
 RISE, RISE_LIMITS = 0.9, (-0.5, 1.5)
 FAR_RISE, FAR_LIMITS = 1.2, (-0.5, 2.0)
 CLOSED, FAR_CLOSED, CLOSED_LIMITS = 1.0, 1.4, (0.0, 1.5)
-"""Weights of closed near and far walls, and limits of these walls in units of plain lung.
+"""Weights of closed walls within 3 mm and 8 mm, and limits of these walls relative to those in lung without airways.
 
 The limits prevent one bright wall from compensating a long path without walls.
 """
 MIN_WALLS = 0.6
-"""Least average of the sum of the four wall terms over a window of 5 mm, whatever the other terms are.
+"""Minimum mean, over 5 mm of path, of the sum of the four wall terms, whatever the other terms are.
 
 Fewer than one in 100 paths to removed branches have a smaller average.
 """
 DROP, DROP_HU, MAX_DROP = -2.0, 100.0, 3.0
-"""Weight, unit in HU and upper limit of the penalty for a value that rises and falls along a path, as across a wall."""
+"""Weight, unit in HU and upper limit of the penalty for values that rise and fall along a path, as across a wall."""
 WIDER, AS_WIDE, MAX_WIDER = -1.6, 0.8, 1.0
-"""Weight, free ratio and upper limit of the penalty for a path wider than the branch that it leaves.
+"""Weight, permitted ratio and upper limit of the penalty for a path wider than the branch that it leaves.
 
 A radius of up to 0.8 of the branch's radius has no penalty; a radius of 1.8 has the full penalty.
 """
@@ -54,27 +54,28 @@ UNEVEN = -3.9
 UNEVEN_OVER = 5
 """Number of sections before, and after, a section over which the radius's deviation is computed."""
 GAP, THREAD_MM, AIR_HU, GAP_HU, MAX_GAP = -1.1, 1.0, -980.0, 100.0, 3.0
-"""Values of the penalty for gaps between vessels, which are wide and as bright as lung.
+"""Parameters of the penalty for gaps between vessels, which are wide and as bright as lung.
 
 The values are the weight, the least radius in mm, the HU without penalty, the unit in HU and the upper limit.
 """
 
 WALL_DROP_HU = 350.0
-"""Rise and fall in HU along a path above which the path has crossed a wall, so its end is not connected."""
+"""Rise and subsequent fall in HU along a path above which the path crosses a wall, so that its end is not connected."""
 NEAR_MM = 3.0
 """Distance in mm from the middle of a section within which near walls, and the radius, are measured."""
 WIDE_HU = -930.0
-"""Largest HU in the middle of a lumen that is too wide for ``NEAR_MM``.
+"""Maximum HU in the middle of a lumen that is wider than ``NEAR_MM``.
 
 A darker middle with walls all round, but none within ``NEAR_MM``, is such a lumen. A rise within ``NEAR_MM`` is then
 noise, and so is the radius that follows from it.
 """
 NO_LUMEN_HU, NO_LUMEN = -450.0, -100.0
-"""Mean over 2.5 mm, in HU, above which the middle of a section is not lumen; gain (log odds) of such a section."""
+"""HU, as a mean over 2.5 mm, above which the middle of a section is not lumen, and gain (log odds) of such a
+section."""
 MOUTH_MM = 4.0
-"""Length in mm inside the lumen that a path leaves, over which the widest section gives the width of that lumen."""
+"""Length in mm of path inside the lumen of its parent over which the widest section gives the parent's width."""
 MAX_TURN_DEG = 130.0
-"""Largest angle in degrees between a branch that leaves the tree and the direction of its parent."""
+"""Maximum angle in degrees between a branch that leaves the tree and the direction of its parent."""
 TURN_OVER_MM = 5.0
 
 
@@ -104,14 +105,15 @@ class Sections:
 
 @dataclass(frozen=True, slots=True)
 class LungBaseline:
-    """Comparison values from the best paths through plain lung of the same CT, in the units of the volume."""
+    """Comparison values from the best paths through lung without airways in the same CT, in the units of the volume."""
 
     rise: float
-    """Rise within 3 mm that a tenth of the sections through plain lung exceeds, in units of the volume."""
+    """Rise within 3 mm that a tenth of the sections through lung without airways exceed, in units of the volume."""
     far_rise: float
-    """Rise within 8 mm that a tenth of the sections through plain lung exceeds, in units of the volume."""
+    """Rise within 8 mm that a tenth of the sections through lung without airways exceed, in units of the volume."""
     bright: float
-    """Value, in units of the volume, that the middles of a quarter of the sections through plain lung exceed."""
+    """Value that the middles of a quarter of the sections through lung without airways exceed, in units of the
+    volume."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -119,7 +121,7 @@ class PathStart:
     """Start of a path at a branch of the tree."""
 
     inside_mm: float
-    """Length of the beginning of the path inside the lumen, mm; sections there contain both lumens and need no wall."""
+    """Length in mm of the path's first part, inside the parent's lumen; sections there need no wall."""
     branch_radius_mm: float
     """Radius of the branch from which the path starts, mm."""
     branch_direction: NDArray[np.float64]
@@ -129,7 +131,7 @@ class PathStart:
 def doubtful_sections(
     sections: Sections, lung: LungBaseline, scale: AirScale, start: PathStart | None = None
 ) -> NDArray[np.bool_]:
-    """Return (n,) flags: True for each section in a window of 5 mm with too little average gain.
+    """Return (n,) flags: True for each section in a window of 5 mm whose mean gain (log odds) is too small.
 
     In a window that fails, the evident sections before its first weak one are not flagged.
 

@@ -31,7 +31,7 @@ Voxels = NDArray[np.uint16]
 """Type of an array of voxels (n, 3), as indices i, j, k."""
 
 MAX_BRIDGE_MM = 60.0
-"""Length in mm of the longest allowed bridge, because a longer bridge would be a guess."""
+"""Maximum length in mm of a bridge across an obstruction; a longer one would be a guess."""
 BRIDGE_RADIUS_MM = 1.0
 MAX_MISSED_RADIUS_MM = 4.0
 AIR_REACH_MM = 2.0
@@ -57,7 +57,7 @@ class EditedLumen:
     """Whether each change computes the tracker from scratch, which is slow: the reference for the fast updates."""
     cancel: Cancel | None = None
     changed_box: tuple[NDArray[np.int64], NDArray[np.int64]] | None = None
-    """First and last voxel of the box that the last change affected; None if any voxel may be affected."""
+    """First and last voxel of the box that the last change affected; None if the whole lumen may be affected."""
 
     @property
     def volume(self) -> Volume:
@@ -213,7 +213,7 @@ def tissue_there(lumen: EditedLumen, start: NDArray[np.int64], wall: float) -> N
 
 
 def air_voxel(lumen: EditedLumen, start: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return a voxel that is as dark as lumen: the given one, or the darkest within 2 mm of it.
+    """Return a voxel that is as dark as lumen: ``start`` itself, or the darkest within 2 mm of it.
 
     Raises
     ------
@@ -244,7 +244,7 @@ def air_voxel(lumen: EditedLumen, start: NDArray[np.int64]) -> NDArray[np.int64]
 
 
 def grown_beyond(lumen: EditedLumen, start: NDArray[np.int64]) -> Voxels:
-    """Return the lumen round a voxel of air, grown like the automatic lumen, with the same leak control."""
+    """Return the lumen round a voxel of air, grown by the method of the automatic search, with its leak control."""
     volume = lumen.volume
     scale = air_scale(volume)
     low, high = _box_round(volume, start, GROWTH_REACH_MM)
@@ -369,7 +369,7 @@ def _way(
 
 
 def by_faces(way: Voxels) -> Voxels:
-    """Return a path with voxels inserted where two meet only at an edge or a corner, as such a step may be closed."""
+    """Return a path with voxels added where two share only an edge or a corner, as such a step may be closed."""
     found = [way[0].astype(np.int64)]
     for voxel in way[1:].astype(np.int64):
         for axis in range(3):

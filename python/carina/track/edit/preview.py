@@ -79,7 +79,7 @@ def _new_lines_of(
 
 
 def new_lines(before: tuple[Branch, ...], after: tuple[Branch, ...]) -> tuple[PreviewLine, ...]:
-    """Return the new lines of a tree: pieces of branches between points that did not change."""
+    """Return the lines that differ between two trees: pieces of branches between unchanged points."""
     known = {point.tobytes() for branch in before for point in branch.points}
     lines = []
     for branch in after:
@@ -92,6 +92,6 @@ def new_lines(before: tuple[Branch, ...], after: tuple[Branch, ...]) -> tuple[Pr
 
 
 def _runs(flags: NDArray[np.bool_]) -> list[tuple[int, int]]:
-    """Return the first index, and one past the last index, of each run of True."""
+    """Return the start and end (one past the last) indices of each run of True."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], flags.astype(np.int8), [0]])))
     return [(int(first), int(last)) for first, last in edges.reshape(-1, 2)]

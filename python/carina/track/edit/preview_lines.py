@@ -1,4 +1,4 @@
-"""Lines that an edit would draw, as values."""
+"""Lines that an edit of the tree would draw, as values."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class PreviewLine:
     doubtful: NDArray[np.bool_]
     """Flags (n-1,): whether the CT shows no airway at each segment."""
     drawn: NDArray[np.bool_]
-    """Flags (n-1,): whether the branch of each segment counts as drawn by hand; all segments if any is doubtful."""
+    """Flags (n-1,): whether the branch of each segment counts as drawn by hand; all True if any segment is doubtful."""
 
 
 @one_line
@@ -33,7 +33,7 @@ class EditPreview:
     lines: tuple[PreviewLine, ...]
     """Lines that would be new or moved in the tree; empty if there is a problem."""
     has_evidence: bool
-    """Whether the edit is made without a further confirmation; False if it needs one or if there is a problem."""
+    """Whether the CT shows an airway along the lines; if False, the edit needs a confirmation or there is a problem."""
     problem: str | None
     """Text that states why the edit is impossible and what to do; None if it is possible."""
     renamed: tuple[RenamedBranch, ...] | None = field(default=None, kw_only=True)

@@ -1,4 +1,4 @@
-"""Radii of edited branches: sections are measured again if the lumen, the centreline or a neighbour changed."""
+"""Update of the radii of edited branches: a branch whose lumen, centreline or neighbour changed is measured again."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Box = tuple[NDArray[np.int64], NDArray[np.int64]]
 """First and last voxel (i, j, k) of a box."""
 
 REACH_RADII = 3.5
-"""Distance from a branch within which a change affects its sections, in multiples of its largest distance to the wall.
+"""Distance from a branch, in its largest wall distances, within which a change of the lumen affects its sections.
 
 A section extends over 2.5 median distances to the wall, and each of these depends on the nearest wall.
 """

@@ -54,13 +54,13 @@ from carina.track.tree.airway_tree import AirwayTree, Branch
 NO_VOXELS = np.zeros((0, 3), dtype=np.uint16)
 SMOOTHING_ROUNDS = 3
 MIN_BEYOND_MM = 4.0
-"""Least length in mm of visible airway beyond an obstruction; with less, the edit refuses to bridge it."""
+"""Minimum length in mm of visible airway beyond an obstruction for a bridge across it."""
 MAX_TURN_DEG = 120.0
-"""Largest angle in degrees between an airway before a bridge and its continuation beyond the bridge."""
+"""Maximum angle in degrees between an airway before a bridge and its continuation beyond the bridge."""
 COVER_REACH_MM = 30.0
-"""Distance in mm from a centreline beyond which a point is not in its tube: more than the diameter of any trachea."""
+"""Distance in mm beyond which a point belongs to no centreline's tube: more than the diameter of any trachea."""
 RECENTRE_VOXELS = 0.5
-"""Change of the distance to the wall, in voxels, above which a centreline is computed again."""
+"""Change of the wall distance, in voxels, above which a centreline is computed again."""
 
 
 class EditSteps:
@@ -199,7 +199,7 @@ class EditSteps:
             self._judge_beyond(self.draft[made], beyond)
 
     def _judge_beyond(self, bridge: Branch, beyond: Voxels) -> None:
-        """Check the airway beyond a bridge; parts of it that the CT does not show become ``manual``.
+        """Check the airway beyond a bridge; pieces that the CT does not show become ``manual`` (drawn by hand).
 
         Raises
         ------
@@ -271,7 +271,7 @@ class EditSteps:
         self.lumen = self.lumen.rerooted((i, j, k))
 
     def _begin_inside(self, place: CentrelinePoint) -> None:
-        """Make a place inside a branch the root of the tree.
+        """Make a point inside a branch the root of the tree.
 
         The trunk becomes a single point, at which the branches in both directions begin, unless the place is at a
         tip.
@@ -584,7 +584,7 @@ class EditSteps:
         return made
 
     def _pieces(self, points: Points, kind: str) -> list[Piece]:
-        """Divide a new centreline into pieces of one kind; ``painted`` lines may lead to airways found before."""
+        """Divide a centreline into pieces of one kind; a ``painted`` line may pass airways that the search found."""
         pieces = [(points, kind)]
         if kind == "painted":
             pieces = painted_pieces(points, ~self._is_doubtful(points), MIN_ADDED_MM)
@@ -598,7 +598,7 @@ class EditSteps:
         ]
 
     def _is_doubtful(self, points: Points) -> NDArray[np.bool_]:
-        """Return (n,) flags: whether the search found no lumen at a point and the CT shows no wall round the line."""
+        """Return (n,) flags: True outside the lumen of the search where the CT shows no wall round the line."""
         i, j, k = np.floor(self._volume.to_ijk(points) + 0.5).astype(int).T
         is_new = self._found_zyx[k, j, i] == 0
         if is_new.any():
@@ -607,7 +607,7 @@ class EditSteps:
         return np.asarray(is_new)
 
     def _forget_bridges(self, cut: list[Branch]) -> None:
-        """Remove the bridges that the cut removes from the list of bridges."""
+        """Remove the bridges that a cut removes from the list of bridges."""
         if not cut or not self.bridges:
             return
         cut_away = np.concatenate([branch.points for branch in cut])

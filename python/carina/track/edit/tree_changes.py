@@ -198,7 +198,7 @@ class TreeDraft:
         return lower_id
 
     def parent_at(self, place: CentrelinePoint, least_mm: float) -> int:
-        """Return the ID of the branch at whose end a new branch begins that leaves the tree at a place.
+        """Return the ID of the branch whose end is the start of a new branch that leaves the tree at a place.
 
         The branch is split there if no fork is near. If the place is so close to a tip that less than ``least_mm``
         would be left, the branch is shortened instead: such a remainder is only the end of the centreline.
@@ -261,7 +261,7 @@ class TreeDraft:
 
 
 def _share_mm(branch: Branch, last: int) -> float:
-    """Return the doubtful length in mm of a branch up to a point, with the doubt evenly distributed."""
+    """Return the part of a branch's doubtful length (mm) up to a point, in proportion to the lengths."""
     along = along_mm(branch.points)
     return branch.doubtful_mm * float(along[last] / along[-1]) if branch.doubtful_mm > 0.0 and along[-1] > 0.0 else 0.0
 

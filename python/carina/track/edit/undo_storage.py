@@ -42,7 +42,7 @@ class FoldedAirways:
 @one_line
 @dataclass(frozen=True, slots=True, eq=False)
 class PackedAirways(FoldedAirways):
-    """Edited airways in memory, with a compressed lumen and without a tracker."""
+    """Edited airways with a compressed lumen and without the path tracker, for undo."""
 
     base: Airways
     branches: tuple[Branch, ...]
@@ -55,7 +55,7 @@ class PackedAirways(FoldedAirways):
     uncertain: tuple[Uncertainty, ...]
     bridges: tuple[NDArray[np.float64], ...]
     packed: bytes | None
-    """Bounding box of the lumen, one bit per voxel, deflated.
+    """Lumen within its bounding box, one bit per voxel, compressed with deflate; None for an unchanged lumen.
 
     None if lumen and paths are those of ``base``, as after renaming.
     """

@@ -1,4 +1,4 @@
-"""Sections of the trachea's air, followed upwards slice by slice into larynx and throat."""
+"""Cross-sections of the trachea's air, followed upwards slice by slice into larynx and throat."""
 
 from __future__ import annotations
 
@@ -17,24 +17,24 @@ Scalar = TypeVar("Scalar", bound=np.generic)
 
 # Half the side length in mm of the square window that is examined in each slice.
 WINDOW_MM = 45.0
-# Largest movement in mm of a section's edge per mm of height; it prevents following air that leaves the trachea
+# Maximum movement in mm of a section's edge per mm of height; it prevents following air that leaves the trachea
 # sideways or forwards.
 SPREAD_PER_MM = 1.0
-# Largest thickness in mm of a tube's wall across which air still belongs to the section; tube walls are up to 1.5 mm
+# Maximum thickness in mm of a tube's wall across which air still belongs to the section; tube walls are up to 1.5 mm
 # thick.
 BRIDGED_MM = 1.2
-# Largest height in mm over which the air between trachea and larynx may be invisible because the vocal cords are
+# Maximum height in mm over which the air between trachea and larynx may be invisible because the vocal cords are
 # closed.
 LOST_MM = 14.0
 # Upper limit in HU of air across the wall of a tube; lung is brighter.
 AIR_HU = -930.0
-# Largest distance in mm across the wall of a tube at which air is still added.
+# Maximum distance in mm across the wall of a tube at which air is still added.
 BESIDE_MM = 3.2
 # Distance in mm round a section within which the peak of its surroundings is measured.
 ROUND_MM = 2.5
-# Least area in mm2 of a tube's material (plastic and its radiopaque line) between air and air.
+# Minimum area in mm2 of a tube's material (plastic and its radiopaque line) between air and air.
 SEPTUM_MM2 = 12.0
-# Least peak value in HU of the material between two areas of air that is a tube's wall and not tissue.
+# Minimum peak value in HU of the material between two areas of air that is a tube's wall and not tissue.
 SEPTUM_HU = 150.0
 # Number of sections with a tube's material in the air, from which the air counts as the lumen of a tube.
 IN_A_TUBE = 3
@@ -69,7 +69,8 @@ class AirSection:
     noise_hu: float
     """Standard deviation of the section's air in HU, estimated from the median deviation."""
     peak: float
-    """Highest voxel value in the section or close round it, HU; the wall of a tube is brighter than tissue."""
+    """Highest voxel value in the section or within a few voxels round it, HU; the wall of a tube is brighter than
+    tissue."""
     leaves_in_front: bool
     """Whether the air continues in front of the section, outside the part that is followed."""
 

@@ -1,4 +1,4 @@
-"""Ends of the airways: the places where the search lost an airway, and the evidence in the CT for each end."""
+"""Uncertain ends of airways: where the search lost an airway, with the evidence in the CT there."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ FINE_MM = 2.5
 FINE_VOX = 3.0
 # Radius in mm of the ball round a leak within which the flood was closed.
 NEAR_LEAK_MM = 10.0
-# Largest distance in mm between the end of the lumen and the filling (mucus or tissue in the lumen) at which the lumen
+# Maximum distance in mm between the end of the lumen and the filling (mucus or tissue in the lumen) at which the lumen
 # ends.
 AT_END_MM = 4.0
 # Distance in mm from the tip at which the measurement of the calibre stops, because the lumen ends bluntly there; it
@@ -113,7 +113,7 @@ def _with_slice_number(volume: Volume, place: Uncertainty) -> Uncertainty:
 
 
 def _end_of_branch(volume: Volume, look: CrossSampler, branch: Branch, calibre_mm: float) -> Uncertainty:
-    """Return the uncertain place at the end of a branch that is wide enough to continue: blocked, a stump, or lost."""
+    """Return the uncertain place (blocked, stump, lost) at the end of a branch that could continue, or None."""
     evidence = find_end_evidence(volume, look, branch, calibre_mm)
     if evidence is None:
         return _uncertain_place(branch.tip_lps, "lost", branch.id, calibre_mm)
@@ -146,7 +146,7 @@ def _uncertain_place(
 
 
 def _with_nearest_branch(tree: AirwayTree, place: Uncertainty) -> Uncertainty | None:
-    """Return a filled place with its nearest branch.
+    """Return a place with filled lumen together with its nearest branch of the tree.
 
     None if the bronchus was removed or the tree continues beyond it.
     """
@@ -165,7 +165,7 @@ def _with_nearest_branch(tree: AirwayTree, place: Uncertainty) -> Uncertainty | 
 
 
 def _ends_at(branch: Branch, place: Uncertainty) -> bool:
-    """Return whether a branch ends at the place where mucus or another filling begins."""
+    """Return whether a branch ends at a place where mucus or other material fills the lumen."""
     off_mm = float(np.linalg.norm(branch.tip_lps - np.array(place.lps)))
     return off_mm <= 0.5 * (place.length_mm or 0.0) + AT_END_MM
 
@@ -180,7 +180,7 @@ def _calibre_mm(branch: Branch) -> float:
 
 
 def _leaves_volume(volume: Volume, branch: Branch, calibre_mm: float) -> bool:
-    """Return whether the tip of a branch is closer to a face of the volume than its own radius plus a voxel."""
+    """Return whether a branch's tip is within its own radius and a voxel of a face of the volume."""
     ijk = volume.to_ijk(branch.tip_lps)
     last = np.array(volume.shape_zyx[::-1]) - 1
     spacing = np.array(volume.spacing_mm)

@@ -61,12 +61,12 @@ MAX_LENGTH_MM = 12_000.0
 MAX_BRANCHES = 2_500
 # Generation above which a tree is rejected as a leak into the lung.
 MAX_GENERATION = 40
-# Least total length in mm of the airways beyond a trachea that divides: main bronchi and lobar bronchi are longer.
+# Minimum total length in mm of the airways beyond a trachea that divides: main bronchi and lobar bronchi are longer.
 MIN_BEYOND_MM = 150.0
 
 
 def doubt_of_totals(branches: tuple[Branch, ...], *, splits: bool) -> Note | None:
-    """Return the permanent note on a tree that is too large for a chest, or too small beyond a trachea that divides.
+    """Return the note on a tree that is too large for a chest, or too small beyond a dividing trachea; else None.
 
     Returns None if the totals are plausible.
 
@@ -95,7 +95,7 @@ def doubt_of_totals(branches: tuple[Branch, ...], *, splits: bool) -> Note | Non
     return None
 
 
-# Least number of branches for naming lobes: trachea, two main, five lobar and some segmental bronchi.
+# Minimum number of branches for naming lobes: trachea, two main, five lobar and some segmental bronchi.
 MIN_GRAMMAR_BRANCHES = 12
 
 
@@ -378,7 +378,7 @@ def _track_lumen(
 
 
 def _name_main_airways(branches: tuple[Branch, ...]) -> tuple[Branch, ...]:
-    """Name the trachea and the main bronchi of a tree that is too small for further names.
+    """Name the trachea and the main bronchi of a tree that has too few branches for further names.
 
     The root branch is the trachea if it runs downwards for at least 20 mm and divides into two. The child that leads
     to the patient's right (-x in LPS) is the right main bronchus.

@@ -20,28 +20,29 @@ from carina.track.tree.uncertainty import FAINT, slice_from_feet
 from carina.volume.model import Note, Volume
 
 METAL = "track.metal"
-"""Code of the permanent note on metal streaks in the lungs."""
+"""Code of the permanent note (stored with the case and its exports) on metal streaks in the lungs."""
 STEP = "track.breathing-step"
-"""Code of the permanent note on a movement of the chest between two slices (breathing step)."""
+"""Code of the permanent note (stored with the case and its exports) on a movement of the chest between two slices."""
 
 LUNG_HU = -860.0
-"""Usual HU of lung, which replaces the values in metal streaks so that no small airway is followed there."""
+"""Usual HU of lung; it replaces the values in metal streaks, so that the search follows no small airway there."""
 IN_REGION = 0.5
-"""Least share of a branch's points in a disturbed region for which the branch counts as in the region."""
+"""Minimum share of a branch's points in a region with artefacts for which the branch counts as in the region."""
 BESIDE_STEP_MM = 2.0
 TISSUE_HU = 40.0
 CERTAIN_AIR_HU = -940.0
 MAX_DOUBTFUL = 0.3
-"""Share of branches with a confidence below 0.5 above which a search counts as leaked."""
+"""Maximum share of branches with a confidence below 0.5; with a larger share, the search has leaked out of the
+airways."""
 SOME_IN_REGION = 0.2
 MIN_BEYOND_MM = 10.0
-"""Least length in mm beyond a disturbed region that proves a branch with points in the region.
+"""Minimum length in mm beyond a region with artefacts that proves a branch with points in the region.
 
 The limit applies to branches with more than ``SOME_IN_REGION`` of their points in the region; such branches must also
 continue beyond the region by more than their length in the region.
 """
 MAX_CONFIDENCE = 0.8
-"""Confidence to which a branch in metal streaks or beside a breathing step is limited."""
+"""Maximum confidence of a branch in metal streaks or beside a breathing step."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -55,7 +56,7 @@ class ArtefactRegions:
     steps: tuple[int, ...] = ()
     """Slices k of the CT after which the chest has moved."""
     is_closed: bool = False
-    """Whether the search treats the streaks and steps as tissue, because an earlier search leaked there."""
+    """Whether streaks and steps are replaced by tissue in this search, because an earlier search leaked there."""
 
     def with_streaks_as_lung(self, volume: Volume, scale: AirScale) -> Volume:
         """Return a volume with uniform lung in place of the streaks; the given volume if there are no streaks."""
@@ -82,7 +83,7 @@ class ArtefactRegions:
         return float(inside.mean())
 
     def closed(self, scale: AirScale) -> Volume:
-        """Return the volume of the grid with soft tissue in place of the streaks and of everything but air at a step.
+        """Return the volume of the search grid with soft tissue in place of the streaks and, at steps, of all but air.
 
         At a step, the air of a bronchus touches lung. Air on both sides of a step belongs to the same wide airway and
         is kept.
@@ -98,7 +99,7 @@ class ArtefactRegions:
         return dataclasses.replace(volume, hu_zyx=values)
 
     def has_leaked(self, tree: AirwayTree) -> bool:
-        """Return whether the search leaked through streaks or a step; other chests have hardly any doubtful branch."""
+        """Return whether the search leaked through streaks or a step: too many branches are doubtful."""
         doubtful = [branch.confidence is not None and branch.confidence < FAINT for branch in tree.branches]
         is_changed = self.streaks_zyx is not None or bool(self.steps)
         return is_changed and sum(doubtful) > MAX_DOUBTFUL * len(doubtful)
@@ -153,7 +154,7 @@ class ArtefactRegions:
         return tree if branches == tree.branches else dataclasses.replace(tree, branches=branches)
 
     def notes(self, removed_mm: float) -> list[Note]:
-        """Return the permanent notes on the disturbed regions: place in slices, missing airways, advice."""
+        """Return the permanent notes on the regions with artefacts: slices, missing airways, advice."""
         ct = self.grid.ct
         notes = []
         if self.streaks_zyx is not None:
@@ -204,7 +205,7 @@ def _slices(volume: Volume, first: int, last: int, to: str = "to") -> str:
 
 
 def find_disturbed(grid: PathGrid) -> ArtefactRegions:
-    """Find the parts of a CT whose values do not prove a small airway.
+    """Find the regions of a CT in which artefacts hide or imitate small airways.
 
     The search uses the original slices of the CT: interpolated slices are more alike than those of a scanner, and they
     spread metal and its streaks (docs/decisions/0135).

@@ -12,22 +12,22 @@ from carina.volume.model import Volume
 Floats = NDArray[np.float64]
 
 BLOCK_MM = 2.0
-"""Side length in mm of the blocks whose means are compared between two slices."""
+"""Side length in mm of the square blocks whose mean values are compared between neighbouring slices."""
 BESIDE_HU = 100.0
-"""Largest mean of a compared block, in HU above the upper limit of lung.
+"""Maximum mean of a compared block, in HU above the upper limit of lung.
 
 Blocks with vessels are below this value, blocks with thick tissue above.
 """
 MIN_AREA_MM2 = 2000.0
 MIN_SHARE = 0.4
-"""Least lung area of a compared slice, as a share of the largest area in the scan."""
+"""Minimum lung area of a compared slice, as a share of the largest lung area in a slice of the scan."""
 NUM_BESIDE = 2
-# Least drop of similarity between two slices against the least similar neighbouring pair, as a difference of Fisher
+# Minimum drop of similarity between two slices against the least similar neighbouring pair, as a difference of Fisher
 # transforms of correlations; without a step the drop is at most 0.21.
 MIN_DROP = 0.22
-# Least ratio of a drop to the fourth largest drop of the scan, because streaks make many slices dissimilar.
+# Minimum ratio of a drop to the fourth largest drop of the scan, because streaks make many slices dissimilar.
 MIN_RATIO = 2.5
-# Largest number of breathing steps that are looked for in a scan; all other height differences give the usual value.
+# Maximum number of breathing steps that are looked for in a scan; all other height differences give the usual value.
 MAX_STEPS = 3
 
 
@@ -53,7 +53,7 @@ def find_steps(volume: Volume, scale: AirScale, is_changed: NDArray[np.bool_] | 
 
 
 def _similarity_drops(volume: Volume, scale: AirScale, is_changed: NDArray[np.bool_] | None) -> Floats:
-    """Return, for each pair of neighbouring slices, how much less similar they are than the pairs beside them."""
+    """Return for each pair of neighbouring slices its similarity below that of the pairs before and after it."""
     dx, dy, _ = volume.spacing_mm
     size = (max(round(BLOCK_MM / dy), 1), max(round(BLOCK_MM / dx), 1))
     block_mm2 = size[0] * size[1] * dx * dy

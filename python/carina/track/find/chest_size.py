@@ -1,4 +1,4 @@
-"""Size of a chest relative to an adult one, measured on the trachea: the unit of the lengths of the search."""
+"""Size of a chest relative to an adult's, measured on the trachea; the search multiplies its lengths by the size."""
 
 from __future__ import annotations
 
@@ -9,20 +9,20 @@ from carina.track.tree.uncertainty import THREAD_SHARE
 from carina.volume.model import Volume
 
 ADULT_MM = 16.0
-"""Smallest diameter in mm of the trachea for which the lengths of the search are those of an adult."""
+"""Minimum diameter in mm of an adult's trachea; with a smaller one, the lengths of the search are reduced."""
 WIDE_PART = 75.0
 """Percentile of the trachea's diameters that counts as its width, so that a stenosis has no effect."""
 # Distance in voxels by which the measured edge of an air space lies inside the true wall (phantoms, voxels of 0.8 to 4
 # mm).
 EDGE_VOXELS = 0.5
-# Smallest size of a chest relative to an adult's: a trachea of 4 mm is that of a newborn.
+# Minimum size of a chest relative to an adult's: a trachea of 4 mm is that of a newborn.
 MIN_SIZE = 0.25
-# Longest and usual length in mm of an adult's trachea; both are larger for a trachea that is wider than usual, by at
+# Maximum and usual length in mm of an adult's trachea; both are larger for a trachea that is wider than usual, by at
 # most the factor ``MAX_LONGER``.
 LONGEST_TRACHEA_MM, USUAL_TRACHEA_MM = 150.0, 110.0
 # Usual diameter of an adult's trachea, mm.
 USUAL_DIAMETER_MM = 17.3
-# Largest factor by which a trachea that is wider than usual is expected to be longer than usual.
+# Maximum factor by which a trachea that is wider than usual is expected to be longer than usual.
 MAX_LONGER = 1.2
 # Reduction of the chest's size over which the confidence of the thinnest airways falls to UNPROVEN_THREAD; this
 # confidence was measured in adults only.
@@ -32,7 +32,7 @@ UNPROVEN_THREAD = 0.5
 
 
 def search_size(volume: Volume, diameters_mm: NDArray[np.float64]) -> float:
-    """Return the size of the chest relative to an adult one: 1 if the trachea has :data:`ADULT_MM` or more, else less.
+    """Return the size of the chest relative to an adult's: 1 if the trachea has :data:`ADULT_MM` or more, else less.
 
     The search for small airways compares the lumen with the tissue within fixed distances. In a smaller chest the
     neighbouring vessels are within these distances and look like the wall of an airway.
@@ -56,7 +56,7 @@ def _lower_diameter(diameter_mm: float) -> float:
 
 
 def longest_trachea_mm(diameter_mm: float) -> float:
-    """Return the greatest length of a trachea of this diameter, from the carina to the cords, mm.
+    """Return the maximum length in mm of a trachea of this diameter, from the carina to the vocal cords.
 
     Examples
     --------
@@ -72,7 +72,7 @@ def usual_trachea_mm(diameter_mm: float) -> float:
 
 
 def thread_confidence(size: float) -> float:
-    """Return the confidence of the thinnest airways, which have no visible wall, in a chest of this size.
+    """Return the confidence of the thinnest airways (whose wall the CT does not show) in a chest of this size.
 
     Examples
     --------

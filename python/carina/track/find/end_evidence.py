@@ -1,4 +1,4 @@
-"""Evidence in the CT beyond the end of an airway: soft tissue that fills it, or a wall that closes it."""
+"""Evidence in the CT beyond an airway's end: soft tissue that fills the bronchus, or a wall that closes it."""
 
 from __future__ import annotations
 
@@ -22,41 +22,41 @@ STEP_MM = 0.5
 # Length in mm of the line from a tip onwards on which wall, lung and tissue are searched.
 FARTHEST_MM = 20.0
 BEYOND_END_MM = 3.0
-"""Largest distance in mm from the last centreline point, beyond the radius, to the wall that closes an end."""
+"""Maximum distance in mm from the last centreline point, beyond the radius, to the wall that closes an end."""
 
 # Range in HU of the soft tissue, such as mucus or tumour, that fills a bronchus beyond its visible end.
 TISSUE_HU = (-150.0, 200.0)
 BLUR_MM = 3.0
-"""Largest distance in mm, caused by blur, between the end of the air and the first sample of soft tissue beyond it."""
+"""Maximum distance in mm, caused by blur, between the end of the air and the first sample of soft tissue beyond it."""
 MIN_TISSUE_MM, MIN_TISSUE_WIDTHS, MIN_TISSUE_SLICES = 6.0, 1.2, 3.0
-"""Least length of soft tissue that fills a bronchus, in mm, in lumen widths and in slices.
+"""Minimum length of soft tissue that fills a bronchus: in mm, in lumen widths and in slices.
 
 Beyond a fork that the search missed, an artery continues in the direction of the bronchus for a shorter length.
 """
 TISSUE_CONE_DEG = (0.0, 10.0)
 USUAL_WALL_MM = 1.2
 MIN_WIDTH, MAX_WIDTH = 0.75, 1.35
-"""Range of the outer width of the filled bronchus, relative to the outer width of its open part."""
+"""Range of the outer width of a filled bronchus, relative to the outer width of its open part."""
 SECTIONS = (0.2, 0.4, 0.6, 0.8)
 MIN_SECTIONS = 3
 
 MIN_STUMP_MM = 5.0
-"""Least width in mm of an end that may be a stump; branches beyond a narrower end may be too thin for the CT."""
+"""Minimum width in mm of a stump; a narrower end may have branches that are too thin for the CT."""
 CLOSED_HU = -600.0
 WIDE_MM, CLOSED_WIDE_HU = 7.0, -700.0
-"""Least width in mm of a wide end, and least HU of a wall that closes such an end.
+"""Minimum width in mm of an end that counts as wide, and minimum HU of a wall that closes a wide end.
 
 An airway that continues a wide end would show in slices of 3 mm. A faint wall therefore proves that there is none.
 """
 MIN_RISE_HU = 120.0
-"""Least rise in HU from the lung to the wall of a wide end, unless the wall reaches ``CLOSED_HU``."""
+"""Minimum rise in HU from the lung to the wall of a wide end, unless the wall reaches ``CLOSED_HU``."""
 LUNG_FROM_MM = 4.0
 """Distance in mm from the wall of an end at which the lung beside the end is measured."""
 CLOSED_CONE_DEG = (0.0, 15.0, 30.0, 45.0, 60.0)
 CLOSED_STEP_DEG = 15.0
 MIN_JUDGED = 0.6
 CLIP_HU = 2000.0
-"""Least value in HU of surgical clips: brighter than bone, calcified cartilage and calcified lymph nodes."""
+"""Minimum value in HU of surgical clips: brighter than bone, calcified cartilage and calcified lymph nodes."""
 CLIP_REACH_MM = 12.0
 MIN_CLIP_MM3 = 3.0
 
@@ -78,7 +78,7 @@ class EndEvidence:
 
 
 def find_end_evidence(volume: Volume, look: CrossSampler, branch: Branch, width_mm: float) -> EndEvidence | None:
-    """Return the evidence in the CT beyond the end of a branch, or None if it proves neither a filling nor a blind end.
+    """Return the evidence in the CT beyond a branch's end; None if it shows neither a filling nor a closed wall.
 
     Parameters
     ----------
@@ -114,7 +114,7 @@ def _axis(branch: Branch) -> Points | None:
 
 
 def _cone(axis: Points, degrees: tuple[float, ...]) -> Points:
-    """Return unit vectors (n, 3) at the given angles in degrees to an axis."""
+    """Return unit vectors (n, 3) at each of the given angles to an axis, in degrees."""
     one = np.cross(axis, np.eye(3)[int(np.argmin(np.abs(axis)))])
     one /= np.linalg.norm(one)
     two = np.cross(axis, one)
@@ -175,7 +175,7 @@ def _lung_level(look: CrossSampler, tip: Points, width_mm: float) -> float:
 
 
 def closed_level(look: CrossSampler, tip: Points, width_mm: float) -> float:
-    """Return the least value of a wall that closes an end of this width, in the units of the volume."""
+    """Return the minimum value of a wall that closes an end of this width, in the units of the volume."""
     usual = float(look.scale.level(CLOSED_HU))
     if width_mm < WIDE_MM:
         return usual

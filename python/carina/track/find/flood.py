@@ -48,7 +48,7 @@ class Flood:
     """Value of the air in the trachea, in the units of the volume; ``noise`` is its standard deviation."""
     noise: float
     core: int
-    """Upper limit of air and its noise, in the units of the volume."""
+    """Maximum value of air with its noise, in the units of the volume."""
 
 
 def flood(

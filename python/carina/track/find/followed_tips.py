@@ -1,4 +1,4 @@
-"""Search for small airways beyond the flooded lumen, limited if the search leaks into the lung."""
+"""Search for small airways beyond the flooded lumen, with stricter limits if the search leaks into the lung."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ from carina.track.progress import Stages
 from carina.volume.model import Note, Volume
 
 STOPPED = "track.search-stopped"
-"""Code of the permanent note on a search that leaked out of the airways."""
+"""Code of the permanent note (stored with the case) on a search that leaked out of the airways."""
 
-# Least rise in HU to the wall of an airway that is followed beyond the flood (docs/decisions/0112).
+# Minimum rise in HU to the wall of an airway that is followed beyond the flood (docs/decisions/0112).
 MIN_RISE_HU = 15.0
-# Longest gap in mm in the wall of a followed airway; mucus or heart motion may cause a gap.
+# Maximum gap in mm in the wall of a followed airway; mucus or heart motion may cause a gap.
 GAP_MM = 2.0
 # Length in mm of an extension beyond the flood's end below which the extension is dropped, in thin slices.
 MIN_FOLLOWED_MM = 2.0
@@ -32,10 +32,10 @@ THIN_SLICE_MM = 1.0
 # Increase of the shortest followed length per mm of slice thickness. Thick slices show a small wall only as partial
 # volume, so more sections must agree.
 THICK_SECTIONS = 5.0
-# Largest value in HU of a followed voxel: half of the rise from air to wall.
+# Maximum value in HU of a followed voxel: half of the rise from air to wall.
 HALF_WALL_HU = -500.0
 
-# Least probability that a followed path, and each path from which it continues, is an airway (docs/decisions/0112).
+# Minimum probability that a followed path, and each path from which it continues, is an airway (docs/decisions/0112).
 MIN_PROBABILITY = 0.7
 # Log odds per section in divided slices, of which only the excess counts as evidence for the path
 # (docs/decisions/0114).
@@ -46,36 +46,36 @@ MIN_ODDS = 0.3
 SHARP_HU = 4.0
 # Increase of SHARP_HU per HU of noise.
 NOISE_SHARE = 0.15
-# Least rise of a wall in CTs with a sharp kernel, as a multiple of the undershoot.
+# Minimum rise of a wall in CTs with a sharp kernel, as a multiple of the undershoot.
 SHARP_BAR = 1.5
 # Factors on the least enclosure by walls that a path needs, tried in order after each leak; 1 is the enclosure of this
 # CT's lung.
 BARS = (1.0, 2.0, 4.0)
-# The same factors for CTs with a sharp kernel.
+# Factors on the least enclosure, as `BARS`, for CTs with a sharp kernel.
 SHARP_BARS = (3.0, 5.0)
-# Largest share of the lung that a search reaches without a leak (intact searches: at most 0.4 %).
+# Maximum share of the lung that a search reaches without a leak (intact searches: at most 0.4 %).
 MAX_REACHED = 0.02
-# Largest length in mm that a search follows without a leak (at most 0.35 m in eight CTs).
+# Maximum length in mm that a search follows without a leak (at most 0.35 m in eight CTs).
 MAX_FOLLOWED_MM = 2500.0
-# Largest length in mm that a search follows without a leak in CTs with a sharp kernel.
+# Maximum length in mm that a search follows without a leak in CTs with a sharp kernel.
 SHARP_FOLLOWED_MM = 400.0
 
-# Largest value in HU of the dark middle of the thinnest airways, which are bright threads with a dark middle
+# Maximum value in HU of the dark middle of the thinnest airways, which are bright threads with a dark middle
 # (docs/decisions/0112).
 THIN_BRIGHTEST_HU = -400.0
-# Least value in HU of the wall of such an airway, which is brighter than lung.
+# Minimum value in HU of the wall of such an airway, which is brighter than lung.
 THIN_MIN_WALL_HU = -700.0
-# Least depth in HU of the dark middle, averaged over 5 mm; no such depth occurs in lung.
+# Minimum depth in HU of the dark middle, averaged over 5 mm; no such depth occurs in lung.
 THIN_MIN_DIP_HU = 22.0
 # Mean depth in HU of a path's dark middle below its sides, below which a path of a thin airway is dropped.
 THIN_ACCEPTED_DIP_HU = 20.0
-# Largest sigma in mm of the blur of a CT, without the blur by its voxels.
+# Maximum sigma in mm of the blur of a CT, without the blur by its voxels.
 THIN_BLUR_MM = 0.85
 # Shortest of the thinnest airways, in mm, slices and voxels: the noise of one voxel also appears in its neighbours.
 THIN_MIN_MM, THIN_MIN_SLICES, THIN_MIN_VOXELS = 2.0, 2.5, 3.0
 # Shortest of the thinnest airways that leave an airway sideways, in mm, slices and voxels.
 THIN_SIDE_MM, THIN_SIDE_SLICES, THIN_SIDE_VOXELS = 5.0, 3.3, 6.0
-# Largest share of the lung that the search for the thinnest airways reaches without a leak.
+# Maximum share of the lung that the search for the thinnest airways reaches without a leak.
 MAX_REACHED_THIN = 0.1
 
 SOFT_KERNEL = "If available, open a reconstruction with a soft kernel"
@@ -90,9 +90,10 @@ class FollowedTips:
     badge: Note | None
     """Permanent note that the search leaked, and how the search was limited; None if the search did not leak."""
     threads_lps: NDArray[np.float64]
-    """Points (n, 3) along the thinnest airways, LPS in mm; each airway was judged by the CT along 5 mm of it."""
+    """Points (n, 3) along the thinnest airways, LPS in mm, each accepted by the CT values along 5 mm of airway."""
     judged: NDArray[np.float64]
-    """Points along the airways that were followed beyond the flood, (n, 4): LPS in mm, and probability."""
+    """Points along airways beyond the flood that were judged by odds, (n, 4): LPS in mm, and probability of the
+    airway."""
     has_leaked: bool
     """Whether the search leaked into the lung, or would have leaked along the rims of a sharp kernel."""
 
@@ -232,7 +233,7 @@ def _in_adult_mm(volume: Volume, size: float) -> Volume:
 def _follow_thin_airways(
     volume: Volume, lumen: NDArray[np.uint8], scale: AirScale, stage: Stages, *, air: float
 ) -> list[dict[str, Any]]:
-    """Return the thinnest airways that were followed from a lumen; the lumen (1 inside) is changed in place."""
+    """Follow the thinnest airways from a lumen and return them; the lumen (1 inside) is changed in place."""
     _, voxel_mm, slice_mm = sorted(volume.spacing_mm)
     found = extend_thin_lumen(
         volume.hu_zyx,

@@ -19,7 +19,7 @@ from carina.volume.model import Volume
 # Levels in HU at one of which the air of an airway must be enclosed in a slice; lung with emphysema is hardly
 # brighter.
 ENCLOSED_HU = (-800.0, -900.0, -950.0)
-# Largest area in mm2 of an airway's section in a slice: a main bronchus that runs along the slice.
+# Maximum area in mm2 of an airway's section in a slice: a main bronchus that runs along the slice.
 MAX_SECTION_MM2 = 1500.0
 # Distance in mm from the trachea's middle, in its slice, above which a point of the lumen is not in the trachea.
 IN_TRACHEA_MM = 18.0

@@ -20,25 +20,25 @@ from carina.volume.model import Volume
 # Sigma in mm of the seam (the rim that a sharp kernel produces beside an edge) that is compensated; no seam is
 # narrower than the voxels.
 SEAM_MM = 0.7
-# Least sigma of the compensated seam, in voxels.
+# Minimum sigma of the compensated seam, in voxels.
 SEAM_VOXELS = 1.1
 # Undershoot in HU up to which a kernel counts as soft; a softened CT keeps this undershoot (docs/decisions/0113).
 SOFT_HU = 3.0
 # Undershoot in HU of the more strongly softened copy, which is searched if the first softened copy leaks too.
 SOFTEST_HU = -8.0
-# Largest factor by which a kernel in use enhances fine detail; a larger estimate comes from noise.
+# Maximum factor by which a kernel in use enhances fine detail; a larger estimate comes from noise.
 MAX_RAISED = 3.2
 # Number of iterations (trial softening, then measurement) that determine the amount of softening.
 STEPS = 5
 # Thickness in mm of the slab in the middle of the volume from which the amount of softening is determined.
 SLAB_MM = 40.0
-# Least number of slices of the slab in which the amount of softening is measured.
+# Minimum number of slices of the slab in which the amount of softening is measured.
 MIN_SLAB = 24
 # Lowest value in HU that most files store; darker values of a sharp kernel are clipped to it.
 FLOOR_HU = -1024.0
 # Voxel value of air in HU.
 AIR_HU = -1000.0
-# Least rise in HU from a clipped lumen to its wall; a rim beside tissue has lung on its other sides.
+# Minimum rise in HU from a clipped lumen to its wall; a rim beside tissue has lung on its other sides.
 WALL_RISE_HU = 250.0
 # Distance of the limit of certain air above the value of air, in standard deviations of the noise.
 CERTAIN_NOISES = 2.5
@@ -58,7 +58,7 @@ class SoftenedCt:
     None if it was not measurable.
     """
     raised: float
-    """Factor, less 1, by which the kernel enhances the finest detail; 0 if the kernel is soft."""
+    """Factor by which the kernel enhances the finest detail, minus 1; 0 if the kernel is soft."""
     smoothed_mm: float
     """Sigma of the Gaussian that removed noise, in mm; 0 if the volume was not smoothed."""
     _sharp: Volume

@@ -14,7 +14,7 @@ TISSUE_HU, EDGE_HU = -300.0, -500.0
 RIM_MM = 2.3
 # Distances in mm from an edge between which undisturbed lung is measured.
 LUNG_FROM_MM, LUNG_TO_MM = 4.0, 7.0
-# Largest voxel size in mm at which undershoot is measured; longer voxels average it away.
+# Maximum voxel size in mm at which undershoot is measured; longer voxels average it away.
 MAX_VOXEL_MM = 1.6
 # Approximate number of voxels per axis in which edges are searched.
 NUM_VOXELS = 400_000

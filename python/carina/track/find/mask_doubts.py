@@ -24,17 +24,17 @@ NUM_STEPS = 14
 MIDDLE = 0.35
 # Distance in mm beyond a branch's radius up to which a wall is searched.
 WALL_REACH_MM = 2.0
-# Least rise from the lumen to a wall, in standard deviations of the noise and in HU.
+# Minimum rise from the lumen to a wall, in standard deviations of the noise and in HU.
 RISE_SIGMA, MIN_RISE_HU = 4.0, 80.0
 # Share of a section's sides with a visible wall, below which the section counts as without a wall.
 MIN_WALLED = 0.6
 # Value in HU (half-way between air and soft tissue) above which a voxel is not air.
 AIR_HU = -500.0
-# Least share of a branch's length with evidence; with less the branch is doubtful.
+# Minimum share of a branch's length with evidence; with less the branch is doubtful.
 MIN_EVIDENCE = 0.4
-# Largest share of the mask's length in doubtful branches; with more the mask is doubtful.
+# Maximum share of the mask's length in doubtful branches; with more the mask is doubtful.
 MAX_DOUBTED = 0.2
-# Largest radius in mm of a judged branch: wide airways stay dark under a mask that is displaced by some mm.
+# Maximum radius in mm of a judged branch: wide airways stay dark under a mask that is displaced by some mm.
 MAX_RADIUS_MM = 7.0
 
 
@@ -91,7 +91,7 @@ def _sampled_points(branch: Branch) -> tuple[Points, Points, NDArray[np.float64]
 def with_mask_doubts(
     volume: Volume, tree: AirwayTree, noise_hu: float, scale: AirScale
 ) -> tuple[AirwayTree, Note | None]:
-    """Return the tree of a mask with the confidence of its doubtful branches, and a note if the mask is doubtful.
+    """Return a mask's tree with confidences of its doubtful branches, and with a note if the mask is doubtful.
 
     The share of a branch is the part of its length with a dark middle and a wall on most sides: 1 if this is so
     along the whole branch, 0 for a branch in tissue or in lung without a wall. A mask drawn at the outer side of the

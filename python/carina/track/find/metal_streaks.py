@@ -1,4 +1,4 @@
-"""Detection of metal streaks: the part of a CT that they change.
+"""Detection of metal streaks in a CT, and of the voxels that they change.
 
 Streaks are in the slices that contain metal and are straight lines from it. On circles round the metal, dark and
 bright alternate in the same way at every distance; nothing in a chest has this pattern (docs/decisions/0135).
@@ -17,9 +17,9 @@ Mask = NDArray[np.bool_]
 Floats = NDArray[np.float32]
 
 METAL_HU = 2000.0
-"""Lowest value in HU of metal; surgical clips, dense contrast medium and tooth enamel are brighter."""
+"""Minimum value in HU of metal; surgical clips, dense contrast medium and tooth enamel are brighter."""
 MIN_METAL_HU = 1000.0
-"""Lowest value in HU of metal in a file whose values have a smaller range.
+"""Minimum value in HU of metal in a file whose values have a smaller range.
 
 Voxels at the highest value of such a file may be metal if that value is at least this.
 """
@@ -27,7 +27,7 @@ MIN_METAL_MM2 = 0.4
 JOINED_MM = 4.0
 """Size in mm of the grid cells that join voxels of metal: voxels in adjacent cells are one piece of metal."""
 MAX_PIECES = 5
-"""Largest number of pieces of metal that are examined per slice, the largest first."""
+"""Maximum number of pieces of metal that are examined per slice, the largest first."""
 
 NUM_DIRECTIONS = 180
 FROM_MM, TO_MM, STEP_MM = 3.0, 120.0, 1.0

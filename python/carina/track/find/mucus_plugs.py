@@ -24,53 +24,53 @@ Points = NDArray[np.float64]
 Floats = NDArray[np.float64]
 
 DARKEST_HU = -930.0
-"""Upper limit in HU of air in an island (air that no path reaches): half-way between air and lung."""
+"""Maximum HU of air in an island (air that no path reaches): half-way between air and lung."""
 MIN_RISE_HU = 150.0
-"""Least rise in HU of a wall above the lumen, if ``NOISE_RISE`` times the noise is less."""
+"""Minimum rise in HU of a wall above the lumen, if ``NOISE_RISE`` times the noise is less."""
 NOISE_RISE = 4.0
-"""Least rise of a wall above the lumen, as a multiple of the noise."""
+"""Minimum rise of a wall above the lumen, as a multiple of the noise."""
 MIN_WALLED = 0.85
 MIN_IN_LUNG = 0.5
-"""Least share of the sides of an island's end that touch lung; air in the oesophagus has no such end."""
+"""Minimum share of the sides of an end of an air island that touch lung; air in the oesophagus has no such end."""
 WIDER, WALL_REACH_MM = 1.6, 2.5
-"""Largest distance of an island's wall from its axis: a multiple of its radius, plus a distance in mm."""
+"""Maximum distance of an air island's wall from its axis: a multiple of the island's radius, plus a distance in mm."""
 
 EDGE_MM = 2.0
-"""Least distance in mm of an examined island from the edge of the scan."""
+"""Minimum distance in mm of an examined island from the edge of the scan."""
 
 FARTHEST_MM = 45.0
-"""Length in mm of a gap above which an island of air is not connected to the airways across a plug."""
+"""Maximum length in mm of the gap between an island of air and the airways across a plug."""
 MAX_OFF_DEG = 60.0
-"""Largest angle in degrees between the axis of an island's end and the gap."""
+"""Maximum angle in degrees between the axis of an island's end and the gap to the airways."""
 STEP_MM = 0.4
 """Distance in mm between samples along the gap between an island of air and the airways."""
 MIN_GAP_MM = 2.5
-"""Length in mm of tissue in a gap below which the gap does not count as a mucus plug."""
+"""Minimum length in mm of tissue in a gap that counts as a mucus plug."""
 MIN_GAP_VOX = 2.0
-"""Length in voxels of tissue in a gap below which the gap does not count as a mucus plug."""
+"""Minimum length in voxels of tissue in a gap that counts as a mucus plug."""
 MAX_DARK = 0.25
-"""Largest share of the gap between an island and the airways that may be as dark as lung."""
+"""Maximum share of the gap between an island and the airways that may be as dark as lung."""
 MAX_LOOSE_MM = 2.5
-"""Largest length in mm without filling between the filling and the lumen, on either side."""
+"""Maximum length in mm without filling between the filling and the lumen, on either side."""
 BRIGHTEST_HU = 250.0
 """Value in HU above which a voxel is bone, calcification or a vessel with contrast medium, and no filling."""
 NUM_TRIED = 60
 """Approximate number of airway points that are tried for one end of an island."""
 UNFILLED = 4.0
-"""Penalty for a gap without tissue: its score (lower is better) is multiplied by up to 1 plus this value."""
+"""Penalty for a gap without tissue: its score (lower is better) is multiplied by 1 plus up to this value."""
 
 USUAL_WALL_MM = 1.2
 """Thickness in mm of the wall of a filled bronchus if it cannot be measured beyond the filling."""
 CROSS = (0.25, 0.4, 0.5, 0.6, 0.75)
 """Positions of the examined cross-sections along a filling, as fractions of its length."""
 MAX_OUTER_MM = 9.0
-"""Largest distance in mm from the axis of a filled bronchus at which its border is searched."""
+"""Maximum distance in mm from the axis of a filled bronchus at which its border is searched."""
 MIN_AIR = 0.15
-"""Least share of air in a filled bronchus that counts as air; less may be fat, noise, or blur."""
+"""Minimum share of air in a filled bronchus that counts as air; less may be fat, noise, or blur."""
 MIN_CROSS = 2
-"""Least number of sections across the filling in which the border of the bronchus must be visible."""
+"""Minimum number of sections across the filling in which the border of the bronchus must be visible."""
 ALIKE = 1.4
-"""Largest ratio between the widths of sections of one lumen; beyond it, a section cuts the end or a fork."""
+"""Maximum ratio between the widths of sections of one lumen; beyond it, a section cuts the end or a fork."""
 FINE_MM, FINE_VOX, FINE_SLICES = 2.5, 3.0, 2.0
 """Limits of the calibre below which an airway is not reported as filled: mm, voxels and slices.
 
@@ -81,7 +81,7 @@ brightness of its lumen and its wall together, as if it were partly filled.
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Gap:
-    """Straight path from an island of air to the found airways."""
+    """Straight line from an island of air to the airways that were found."""
 
     end: IslandEnd
     far_lps: Points
@@ -298,7 +298,7 @@ class _GapSearch:
         return min(widths) if len(widths) > 1 and max(widths) <= ALIKE * min(widths) else None
 
     def _wall_mm(self, end: IslandEnd) -> float | None:
-        """Return the thickness in mm of the wall beyond the filling, up to the same outer border as across the gap."""
+        """Return the thickness in mm of the wall beyond the filling, given the same outer border as across the gap."""
         rays, inner = self._inner_rays(end)
         at = np.arange(rays.shape[1]) * self._look.step_mm
         thick = []

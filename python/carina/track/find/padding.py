@@ -9,13 +9,13 @@ from numpy.typing import NDArray
 from carina.volume.model import Volume
 
 REACH_MM = 30.0
-"""Distance in mm from the trachea beyond which padding (voxels without data) is not searched."""
+"""Maximum distance in mm from the trachea at which padding (voxels without data) is searched."""
 BLOCK_KJI = (3, 5, 5)
 """Size in voxels (k, j, i) of the smallest block of one value that counts as padding; noise produces no such block."""
 MIN_MM3 = 60_000.0
-"""Least volume of padding in mm3: larger than a wide trachea, whose air values a scanner may have clipped."""
+"""Minimum volume of padding in mm3: larger than a wide trachea, whose air values a scanner may have clipped."""
 MAX_EQUAL = 0.25
-"""Share of equal neighbours in the lower trachea above which its air has no noise and looks like padding."""
+"""Maximum share of equal neighbours in the lower trachea; with more, its air has no noise and looks like padding."""
 
 
 def padding_near(volume: Volume, trachea: list[tuple[int, int, int]]) -> NDArray[np.bool_] | None:
@@ -83,7 +83,7 @@ def _share_of_equal_neighbours(volume: Volume, voxels: NDArray[np.int64]) -> flo
 
 
 def _mark_blocks(mask: NDArray[np.bool_], block: tuple[int, int, int], before: int) -> NDArray[np.bool_]:
-    """Return the union of the blocks that begin at, or a number of voxels before, each voxel of a mask.
+    """Return the union of the blocks whose first voxel, or voxel at offset ``before``, is in a mask.
 
     Parameters
     ----------

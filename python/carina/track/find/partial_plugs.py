@@ -18,23 +18,23 @@ Points = NDArray[np.float64]
 Floats = NDArray[np.float64]
 
 NARROW = 0.88
-"""Width of the air relative to the calibre before and beyond, below which a part of a branch is examined.
+"""Ratio of the air's width to the calibre before and beyond, below which a part of a branch is examined.
 
 A bronchus that is filled to half its height has 0.71.
 """
 MIN_LONG_MM = 4.0
 NEAR_MM = 25.0
-"""Largest distance in mm along a branch from narrow air to air that is wide again."""
+"""Maximum distance in mm along a branch from narrow air to the next wide air."""
 MAX_SHARE = 0.9
 """Quantile of a branch's widths that counts as its largest width; the maximum may be the flare of a fork."""
 INNER = 0.85
 """Share of the calibre's radius within which a point is inside the wall despite blur and a bent axis."""
 MIN_FILLED, MAX_LUNG = 0.1, 0.1
-"""Least share of filling, and largest share of lung, in the circle inside the wall of a filled bronchus."""
+"""Minimum share of filling, and maximum share of lung, in the circle inside the wall of a filled bronchus."""
 ONE_SIDED = 0.15
 EACH_MM = 1.0
 MIN_STATED = 4
-"""Smallest number of sections with material between air and wall for a reported place."""
+"""Minimum number of sections with material between air and wall for a reported place."""
 MAX_SHIFT = 0.9
 
 

@@ -30,7 +30,7 @@ class PerVolumeCache(Generic[Found]):
         return PerVolumeCache, ()
 
     def of(self, volume: Volume, find: Callable[[], Found]) -> Found:
-        """Return the cached value for a volume, or compute it with ``find``.
+        """Return the value for a volume: the cached one, or the result of ``find``, which is then cached.
 
         A value that was computed from another volume is replaced.
         """

@@ -71,11 +71,11 @@ class Airways:
     tracker: PathTracker
     """Tracker of least-cost paths in the lumen."""
     threshold: float
-    """Value at which the lumen ends (HU if the volume is in HU); NaN for a given lumen."""
+    """Voxel value at which the lumen ends (HU if the volume is in HU); NaN for a lumen from a file."""
     notes: tuple[str, ...] = ()
-    """Texts about limits of the search and points that were moved."""
+    """Texts for the user about limits of the search and about points that were moved into the lumen."""
     wall_levels: tuple[float, float, float] | None = None
-    """Values that decide whether a wall crosses a diagonal step between voxels.
+    """Limits that decide whether a diagonal step between voxels crosses a wall; None for a lumen from a file.
 
     The values are the limit of certain air, the level half-way to the wall, and the least rise to the wall; None for a
     given lumen.
@@ -92,7 +92,7 @@ class Airways:
     The last entry, of kind ``fine``, states below which width the CT is unreliable.
     """
     bridges: tuple[NDArray[np.float64], ...] = ()
-    """Paths of bridges that the user made and did not cut, (n, 3) each, LPS in mm.
+    """Paths of the bridges (across obstructions) that the user added and did not cut, (n, 3) each, LPS in mm.
 
     Branches on these paths remain marked as bridges.
     """
@@ -102,7 +102,7 @@ class Airways:
     None if the scan ends below the larynx. Not stored in a case file.
     """
     evidence: PerVolumeCache[Any] = field(default_factory=PerVolumeCache, repr=False, compare=False)
-    """Cached evidence in the CT for further airways, which edits use.
+    """Cache of wall evidence in the CT for airways that the search missed, which edits use.
 
     The evidence is computed at first use and shared by all edited versions of the airways.
     """
@@ -173,7 +173,7 @@ class Airways:
 
     @property
     def calibrated_shares(self) -> CalibratedShares | None:
-        """Shares of the airways that the search finds in slices of this thickness, by calibre; None in thin slices.
+        """Share of the length of airways that the search finds in such thick slices, by calibre; None in thin slices.
 
         The shares are also None for a segmentation from external software, and for a tree that was stored before the
         shares were introduced.

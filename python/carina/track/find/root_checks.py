@@ -20,13 +20,13 @@ UP_FIRST_MM = 10.0
 SURE_TRACHEA_MM = 60.0
 # Distance in mm from the middle between the lungs within which the end of a branch belongs to neither side.
 MIDDLE_MM = 10.0
-# Least share of the lateral ends of branches on the side with fewer ends.
+# Minimum share of the lateral ends of branches on the side with fewer ends.
 MIN_SIDE = 0.05
 # Side length in mm of the blocks on which lung is distinguished from air outside the body.
 BLOCK_MM = 4.0
 # Highest standard deviation in HU in a block of lung; the blurred edge between air and skin has more.
 EVEN_HU = 150.0
-# Least volume in mm3 of lung; a smaller volume is mastoid air cells or bowel.
+# Minimum volume in mm3 of lung; a smaller volume is mastoid air cells or bowel.
 MIN_LUNG_MM3 = 40_000.0
 
 

@@ -15,13 +15,13 @@ Points = NDArray[np.float64]
 
 # The stump is too short to be a separate branch, so the wide and the narrow airway form one branch.
 MIN_WIDE_MM = 8.0
-"""Least width in mm of the wide part of an airway that ends in a wall."""
+"""Minimum width in mm of the wide part of an airway that ends in a wall."""
 MAX_NARROWED = 0.65
-"""Ratio of the narrow to the wide radius of a branch above which the branch does not count as narrowed."""
+"""Maximum ratio of the narrow to the wide radius of a branch that counts as narrowed."""
 MIN_TURN_DEG = 25.0
-"""Least angle in degrees between the narrow part and the wide part. An airway that tapers continues straight on."""
+"""Minimum angle in degrees between the narrow part and the wide part. An airway that tapers continues straight on."""
 FROM_START_MM = 10.0
-"""Least distance in mm from the start of the branch, whose first part is inside its parent."""
+"""Minimum distance in mm from the start of the branch, whose first part is inside its parent."""
 BEFORE_MM, AFTER_MM, FADE_MM = 6.0, 8.0, 3.0
 """Lengths in mm of the parts before and after a step in radius over which radii are compared, and of the step."""
 AXIS_FROM_MM, AXIS_TO_MM = 12.0, 4.0
@@ -30,7 +30,7 @@ STEP_MM = 0.5
 MARGIN_MM = 1.0
 """Distance in mm from the lumen of the narrow airway within which a direction is not judged."""
 FARTHEST_RADII = 3.0
-"""Largest distance from the end of the wide part's axis to the closing wall, in radii."""
+"""Maximum distance from the end of the wide part's axis to the closing wall, as a multiple of the radius."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,7 +38,7 @@ class StraightEnd:
     """Closed end straight ahead of a wide airway."""
 
     lps: Points
-    """Middle of the lumen before the end, LPS in mm."""
+    """Middle of the wide airway's lumen, just before its closed end, LPS in mm."""
     width_mm: float
     """Diameter of the wide airway, mm."""
     axis: Points

@@ -59,7 +59,8 @@ class TopOfTrachea:
     cut: list[AirSection]
     """Sections beside an opening to the air outside, where the lumen is limited to the section."""
     starts_in_it: bool
-    """Whether the tube already is in the trachea's lowest section, so that no section without the tube exists."""
+    """Whether a tube is in the lowest section of the trachea, so that no section without the tube exists for
+    comparison."""
     is_open: bool
     """Whether the trachea is open to the air outside through the front of the neck."""
     cords: Cords | None
@@ -69,7 +70,7 @@ class TopOfTrachea:
 def top_of_trachea(
     soft: SoftenedCt, seeds: list[tuple[int, int, int]], scale: AirScale, stage: Stages
 ) -> TopOfTrachea | None:
-    """Find the upper end of the trachea and any opening to other air, or return None if the given end is correct.
+    """Find the trachea's upper end and any opening to other air; None if the end that was found is correct.
 
     Parameters
     ----------
@@ -176,7 +177,7 @@ def without_tube(top: TopOfTrachea, lowest: tuple[int, int, int], scale: AirScal
 
 
 def _is_tracheostomy(trachea: list[AirSection], tube: Tube | None) -> bool:
-    """Return whether a tube ends inside the trachea and the air at its upper end continues forwards out of the neck."""
+    """Return whether a tube ends in the trachea while the air at its upper end passes forwards out of the neck."""
     if tube is None or tube.last + 3 >= len(trachea):
         return False
     beside = trachea[max(tube.last - 3, 0) : tube.last + 4]

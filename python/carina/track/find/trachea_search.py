@@ -30,7 +30,7 @@ from carina.volume.model import Volume
 # HU levels. AirScale converts each one to the values of the volume. The search uses the first level that shows a
 # trachea: a lower one if the wall between trachea and lung is thin, a higher one if the slices blur the trachea.
 TRACHEA_AIR_HU = (-800.0, -900.0, -700.0)
-# Least value in HU of the tissue that must surround a candidate for the trachea.
+# Minimum value in HU of the tissue that must surround a candidate for the trachea.
 TISSUE_HU = -450.0
 
 # Notes on a trachea that lacks one of its usual features.
@@ -216,7 +216,7 @@ def trachea_round(volume: Volume, scale: AirScale, start: tuple[int, int, int], 
 
 
 def _along(volume: Volume, trachea: Trachea, sections: list[AirSection]) -> Trachea:
-    """Return the trachea extended by the sections in which its air was followed."""
+    """Return the trachea extended by sections of its air above and below."""
     if not sections:
         return trachea
     own = {section.k for section in sections}

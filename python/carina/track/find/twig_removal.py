@@ -1,4 +1,4 @@
-"""Removal of twigs of wide airways: tips that do not leave the section of their parent airway."""
+"""Removal of twigs: tips that stay inside the cross-section of the wide airway that they leave."""
 
 from __future__ import annotations
 
@@ -11,13 +11,14 @@ from numpy.typing import NDArray
 Points = NDArray[np.float64]
 
 NEAR_TOP = 3.0
-"""Largest distance from the upper end of the trachea, in radii, at which a cut end can leave the trachea."""
+"""Maximum distance from the trachea's upper end, in radii, of a cut end (a false branch where the scan cuts the
+trachea)."""
 INSIDE = 1.5
-"""Largest distance of a cut end from the trachea's axis, in radii; a bronchus leaves this range."""
+"""Maximum distance of a cut end (a false branch) from the trachea's axis, in radii; a bronchus is farther away."""
 MIN_FALL_MM = 2.0
-"""Descent of a branch in mm above which the branch is a bronchus and no cut end."""
+"""Maximum descent in mm of a cut end (a false branch); a branch that descends farther is a bronchus."""
 MIN_BULGING_MM = 3.0
-"""Least radius in mm of an airway whose bulges are removed; in a thinner airway a bulge may be a single voxel."""
+"""Minimum radius in mm of an airway whose bulges are removed; in a thinner one a bulge may be a single voxel."""
 AXIS_MM = 15.0
 """Length in mm of the upper part of the trachea from which the axis above its upper end is extrapolated."""
 
@@ -49,7 +50,7 @@ def without_twigs(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
 
 
 def _is_bulge(rows: Sequence[dict[str, Any]], number: int, siblings: Sequence[int]) -> bool:
-    """Return whether a branch is a leaf inside the section of the wide airway that it leaves."""
+    """Return whether a branch is a tip inside the cross-section of the wide airway that it leaves."""
     others = [other for other in siblings if other != number]
     if not others or any(row["parent"] == number for row in rows):
         return False
@@ -63,7 +64,7 @@ def _is_bulge(rows: Sequence[dict[str, Any]], number: int, siblings: Sequence[in
 
 
 def _is_cut_end(rows: Sequence[dict[str, Any]], number: int, below: Sequence[int]) -> bool:
-    """Return whether a branch of the root is a leaf inside the trachea's own section, near its upper end."""
+    """Return whether a branch of the root is a tip inside the trachea's cross-section, near its upper end."""
     if rows[number]["parent"] != 0 or len(below) < 2 or any(row["parent"] == number for row in rows):
         return False
     others = [other for other in below if other != number and any(row["parent"] == other for row in rows)]
@@ -91,7 +92,7 @@ def _length_mm(points: Points) -> float:
 
 
 def _without_leaf(rows: Sequence[dict[str, Any]], twig: int) -> list[dict[str, Any]]:
-    """Return the rows without a leaf; if only one other child remains, the parent and this child are merged."""
+    """Return the rows without a tip; if its parent then has one child left, parent and child are merged."""
     above = rows[twig]["parent"]
     remaining = [number for number, row in enumerate(rows) if row["parent"] == above and number != twig]
     merged = remaining[0] if len(remaining) == 1 else None

@@ -1,4 +1,4 @@
-"""Islands of air in the chest that no path reaches: pieces of airway beyond an obstruction, and their ends."""
+"""Islands of air in the chest that no path from the trachea reaches, and their ends."""
 
 from __future__ import annotations
 
@@ -21,20 +21,20 @@ MIN_MM3 = 15.0
 MIN_VOXELS = 8
 MIN_LONG_MM = 6.0
 MAX_MM3 = 60_000.0
-"""Largest volume in mm3 of an island of air.
+"""Maximum volume in mm3 of an island of air; larger air is not airway.
 
 All airways beyond a main bronchus are smaller; the stomach, air outside the body and large bullae are larger.
 """
 MAX_ISLANDS = 80
 MAX_ENDS = 12
 DARK_NEIGHBOURS = 3
-"""Least number of air voxels among the six neighbours of an air voxel; a voxel with fewer counts as noise."""
+"""Minimum number of air voxels among the six neighbours of an air voxel; a voxel with fewer counts as noise."""
 MAX_DARK = 4_000_000
-"""Number of dark voxels above which they are emphysema, in which no island can be distinguished."""
+"""Maximum number of dark voxels; with more, the lung is emphysematous and islands cannot be distinguished."""
 CELL_MM = 2.0
-"""Least edge length in mm of the cells between which paths inside an island run; at least one voxel."""
+"""Minimum edge length in mm of the cells between which paths inside an island run; at least one voxel."""
 AXIS_MM, ONWARD_MM = 3.0, 9.0
-"""Lengths of the first and second stretch of an end, in mm; its axis joins the centres of the two.
+"""Lengths in mm of two successive pieces of an island at its end; the axis joins their centres.
 
 The first stretch is at least one radius long. The second is long enough to contain both of two branches, whose
 common centre is on the axis of their trunk.
@@ -112,7 +112,7 @@ def _box(volume: Volume, tree_lps: Points) -> tuple[tuple[int, int, int], tuple[
 
 
 def _edges(flat: Ints, ijk: Ints, volume: Volume) -> Ints:
-    """Return (m, 2) index pairs into ``flat`` (sorted) of the voxels that share a face."""
+    """Return (m, 2) index pairs into ``flat`` (sorted voxel indices) of the voxels that share a face."""
     nz, ny, nx = volume.shape_zyx
     pairs = []
     for axis, (stride, size) in enumerate(((1, nx), (nx, ny), (nx * ny, nz))):
@@ -124,7 +124,7 @@ def _edges(flat: Ints, ijk: Ints, volume: Volume) -> Ints:
 
 
 def _ends(points: Points, edges: Ints, coarsest_mm: float, voxel_mm3: float) -> tuple[IslandEnd, ...]:
-    """Return the ends of a piece: points far from each other along paths inside the piece."""
+    """Return the ends of an island: points far from each other along paths inside it."""
     edge_mm = max(CELL_MM, coarsest_mm)
     _, cell = np.unique(np.floor(points / edge_mm).astype(np.int64), axis=0, return_inverse=True)
     cell = cell.ravel()

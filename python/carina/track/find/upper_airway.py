@@ -13,10 +13,10 @@ from carina.track.find.chest_size import longest_trachea_mm, usual_trachea_mm
 from carina.track.intensity_levels import AirScale
 from carina.volume.model import Volume
 
-# Least height above the carina at which the vocal cords are searched, in diameters of the trachea. The cords of an
+# Minimum height above the carina at which the vocal cords are searched, in diameters of the trachea. The cords of an
 # adult are 7 diameters above the carina, those of a newborn 8.
 MIN_DIAMETERS = 4.0
-# Least height at which the cords are searched if the sections start inside a tube, in diameters of the trachea: these
+# Minimum height at which the cords are searched if the sections start inside a tube, in diameters of the trachea: these
 # sections begin above the tip of the tube, some way above the carina.
 MIN_DIAMETERS_IN_A_TUBE = 2.0
 # Length in mm of visible trachea below which only its lowest part is compared with the sections above.
@@ -25,14 +25,14 @@ SHORT_MM = 15.0
 NARROW_WIDTH = 0.7
 # Share of the trachea's area below which a section is the cone below the cords or a stenosis.
 NARROW_AREA = 0.6
-# Largest ratio of the width (left-right) to the depth (front-back) of a section that counts as a slit.
+# Maximum ratio of the width (left-right) to the depth (front-back) of a section that counts as a slit.
 SLIT = 0.6
 # Ratio of a section's width to that of the trachea from which the section counts as throat (pharynx).
 THROAT_WIDTH = 1.3
 # Height in mm above a narrow place up to which sections are searched for more trachea, which shows that the narrow
 # place is a stenosis.
 ABOVE_MM = 45.0
-# Least length in mm of trachea above a narrow place that shows that the place is a stenosis.
+# Minimum length in mm of trachea above a narrow place that shows that the place is a stenosis.
 TRACHEA_ABOVE_MM = 20.0
 # Least length in mm between two narrow places round a tube that shows that trachea follows above the fluid on its cuff.
 TRACHEA_ABOVE_TUBE_MM = 9.0
@@ -45,7 +45,7 @@ ABOVE_CORDS_MM = 20.0
 CORDS_ABOVE_CRICOID_MM = (18.0, 25.0)
 # Distance in mm of the tree's start below an adult's cords, which is below the cricoid; scaled in smaller people.
 BELOW_THE_CORDS_MM = 26.5
-# Largest distance in mm of the tree's start below the cricoid in larger people: the tree begins at the middle of the
+# Maximum distance in mm of the tree's start below the cricoid in larger people: the tree begins at the middle of the
 # heights within this distance for every position of the cords.
 LESS_BELOW_CRICOID_MM = 9.0
 # Diameter of an adult's trachea, mm.
@@ -57,7 +57,7 @@ ADULT_CORDS_MM = 146.0
 ADULT_SIZES = (0.92, 1.0)
 # Limits of the size of a larynx relative to an adult's; an estimate outside them is set to the limit.
 SIZES = (0.4, 1.2)
-# Smallest extent in mm (left-right and front-back) of a CT of a neck or a head, also of a child's.
+# Minimum extent in mm (left-right and front-back) of a CT of a neck or a head, also of a child's.
 MIN_NECK_MM = 90.0
 # Height in mm above the narrow part's lower end in which the true vocal cords are searched: the length of the cone
 # below them.
@@ -70,20 +70,20 @@ CARINA_GAP_MM = 4.0
 WIDEST = 2.5
 # Length in mm below which a bright ring in the trachea does not count as a tube.
 MIN_TUBE_MM = 12.0
-# Smallest median value in HU of plastic between air and air, also after blur by thick slices; noise is only just above
+# Minimum median value in HU of plastic between air and air, also after blur by thick slices; noise is only just above
 # -800 HU.
 MIN_PLASTIC_HU = -600.0
-# Least peak value in HU of a tube whose wall touches the wall of the trachea all round.
+# Minimum peak value in HU of a tube whose wall touches the wall of the trachea all round.
 LINE_HU = 500.0
 LINE_NOISES = 8.0
-"""Least brightness of a tube's radiopaque line above water, in standard deviations of the noise."""
-# Largest area of the air in a tube that fills the trachea, as a share of the trachea's area.
+"""Minimum brightness of a tube's radiopaque line above water, in standard deviations of the noise."""
+# Maximum area of the air in a tube that fills the trachea, as a share of the trachea's area.
 TIGHT_AREA = 0.55
 # Length in mm below which a narrow part of the trachea does not count as a tube that fills the trachea.
 MIN_TIGHT_MM = 25.0
-# Least ratio of the depth of a section beside an opening in the front of the neck to the depth of the trachea.
+# Minimum ratio of the depth of a section beside an opening in the front of the neck to the depth of the trachea.
 DEEPER = 1.12
-# Largest ratio of a section's depth to the trachea's at which the trachea counts as complete again above an opening.
+# Maximum ratio of a section's depth to the trachea's at which the trachea counts as complete again above an opening.
 COMPLETE_DEPTH = 1.3
 # Height in mm below and above an opening in the neck in which the tube through it dents the front of the trachea.
 DENT_MM = 8.0
@@ -99,11 +99,11 @@ UP_DOWN_MM = 30.0
 OPEN_AIR_HU = -900.0
 # Highest mean in HU of a block of air outside the body (that of lung is higher), and side of the block in mm.
 PURE_AIR_HU, PURE_AIR_MM = -940.0, 7.0
-# Least distance in mm of the air outside the body in front of the middle of the trachea.
+# Minimum distance in mm of the air outside the body in front of the middle of the trachea.
 FRONT_MM = 25.0
 # Ratio of a section's area to the trachea's above which the section is lung: noise has opened the wall between them.
 LUNG_AREA = 5.0
-# Least volume in mm3 of air outside the body, without the trachea's own air.
+# Minimum volume in mm3 of air outside the body, without the trachea's own air.
 OUTSIDE_MM3 = 12_000.0
 
 
@@ -193,7 +193,7 @@ def _is_bright(peaks: NDArray[np.float64], length_mm: float) -> bool:
 
 
 def _is_plastic(septum_hu: NDArray[np.float64]) -> bool:
-    """Return whether the material between air and air is brighter than noise.
+    """Return whether the material between two parts of air is brighter than noise, as plastic is.
 
     Without such material the result is True: the wall of the tube then touches the wall of the trachea.
     """
@@ -289,7 +289,7 @@ def _larynx_size(diameter_mm: float, cords_mm: float | None) -> float:
 
 
 def has_larynx(volume: Volume, sections: list[AirSection]) -> bool:
-    """Return whether sections from the trachea upwards contain a larynx, even if the scan shows little of the trachea.
+    """Return whether sections from the trachea upwards contain a larynx, even if few sections of trachea precede it.
 
     A volume smaller than a neck contains no larynx: it is a part of a chest, a specimen or a model.
     """
@@ -303,7 +303,7 @@ def has_larynx(volume: Volume, sections: list[AirSection]) -> bool:
 def _larynges(
     sections: list[AirSection], tube: Tube | None, typical: tuple[float, float, float], least_mm: float
 ) -> list[tuple[int, int]]:
-    """Return the first and last index of each narrow part that is like a larynx, at least ``least_mm`` up."""
+    """Return the first and last index of each narrow part like a larynx, ``least_mm`` or more above the first."""
     heights = _heights(sections)
     width, depth, area = typical
     up = heights - heights[0]
@@ -354,7 +354,7 @@ def _is_trachea(above: list[AirSection], width: float, depth: float, area: float
 def join_sections(
     volume: Volume, sections: list[AirSection], tube: Tube | None, stop: int, *, is_open: bool
 ) -> tuple[list[AirSection], list[tuple[AirSection, NDArray[np.bool_]]]]:
-    """Return the first ``stop`` sections, each reduced or completed to the air of the trachea alone.
+    """Return the first ``stop`` sections, each limited or extended to the air of the trachea alone.
 
     Where an opening leaves the trachea, the air reaches forward; where fluid surrounds a tube, only the tube's own
     lumen remains. Such sections are replaced by the sections below and above, moved to the line between those two.
@@ -485,7 +485,7 @@ def opening_in_front(
 
 
 def _is_pure_air(values: NDArray[np.int16], step_mm: tuple[float, float, float], scale: AirScale) -> NDArray[np.bool_]:
-    """Return the voxels (nz, ny, nx) in blocks whose mean is that of air; noise makes single voxels of lung as dark."""
+    """Return a mask (nz, ny, nx) of blocks whose mean value is that of air; single dark voxels of lung are excluded."""
     sizes = [max(round(PURE_AIR_MM / step), 1) for step in step_mm]
     padding = [(0, -n % size) for n, size in zip(values.shape, sizes, strict=True)]
     whole = np.pad(values, padding, mode="edge").astype(np.float32)

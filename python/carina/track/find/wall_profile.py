@@ -17,22 +17,22 @@ Floats = NDArray[np.float64]
 NUM_RAYS = 32
 HALF_HU = -500.0
 LUNG_HU = -650.0
-"""Highest value of lung, in HU; beyond an outer border the values fall to it (fat and mediastinum are brighter)."""
+"""Maximum value of lung, in HU; the values fall below it beyond a bronchus's outer border (fat is brighter)."""
 BORDER_MM = 1.5
 """Distance in mm beyond the outer border within which the values must fall to ``LUNG_HU``."""
 NUM_CENTRED = 5
 MIN_SEEN = 0.4
-"""Smallest share of the sides of a bronchus on which its outer border must be visible."""
+"""Minimum share of the sides of a bronchus on which its outer border must be visible."""
 MIN_OCTANTS = 5
 ROUND = 0.15
-"""Distance of a border point from the fitted circle, as a share of the radius, above which the point is an outlier."""
+"""Maximum distance of a border point from the fitted circle, as a share of the radius; farther points are outliers."""
 CORE_MM = 0.8
 """Radius in mm of the disc over which values on an axis are averaged."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Plane:
-    """CT values on a square grid across an axis."""
+    """CT values on a square grid perpendicular to an axis."""
 
     values: Floats
     """(n, n) values of the plane, in the units of the volume."""
@@ -45,7 +45,7 @@ class Plane:
 
 
 class CrossSampler:
-    """Sampler of a volume on rays and planes across an axis.
+    """Sampler of a volume on rays and planes perpendicular to an axis.
 
     Parameters
     ----------
@@ -102,7 +102,7 @@ class CrossSampler:
         return np.where(peak - own >= least_rise, _first_crossing_mm(rays - half[:, None], self.step_mm), np.nan)
 
     def outer_mm(self, rays: Floats) -> Floats:
-        """Return (32,) distances in mm at which each ray finally leaves tissue for the lung.
+        """Return (32,) distances in mm from the axis of the last change from tissue to lung on each ray.
 
         The distance is NaN if the ray does not leave tissue, or leaves it too close to the end of the ray.
         """

@@ -1,4 +1,4 @@
-"""Extent of the trachea in a scan: its air is followed to the carina, and the air beside it is removed."""
+"""Whole trachea in a scan: its air, followed down to the carina and up to its top, without the air beside it."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ FOLLOWED_MM = 6.0
 DIVERGE_MM = 2.0
 # Share of the trachea's area above which a section is still the trachea and not one main bronchus.
 MIN_AREA = 0.7
-# Largest error in mm of the ends of the trachea in the search by anatomy.
+# Maximum error in mm of the ends of the trachea in the search by anatomy.
 MISSED_MM = 10.0
-# Least and largest area of a section that counts as a section of the trachea, as shares of the trachea's area.
+# Minimum and maximum area of a section that counts as a section of the trachea, as shares of the trachea's area.
 SIMILAR_AREA = (0.6, 1.5)
-# Least share of similar sections above the found trachea that shows that the trachea continues there.
+# Minimum share of similar sections above the found trachea that shows that the trachea continues there.
 SIMILAR_SHARE = 0.65
 # Thickness in mm of the trachea's wall, in which values are not changed; air in oesophagus and lung is farther away.
 OWN_WALL_MM = 2.0
@@ -135,7 +135,7 @@ def begins_below_top(sections: list[AirSection], top_k: int, area_mm2: float) ->
 
 
 def trachea_sections(sections: list[AirSection], top_k: int, area_mm2: float) -> list[AirSection]:
-    """Return the sections up to a slice, and the sections above it up to a long part unlike the trachea."""
+    """Return the sections up to a slice and those above it, up to a long part that is unlike the trachea."""
     low, high = SIMILAR_AREA[0] * area_mm2, SIMILAR_AREA[1] * area_mm2
     last = 0
     for n, section in enumerate(sections):

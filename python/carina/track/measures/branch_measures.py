@@ -81,16 +81,16 @@ METHOD = 2
 """Version of the method by which sections are measured; version 1 (before decision 0117) assumed a flat wall."""
 
 MIN_CONTRAST_HU = 100.0
-"""Least rise in HU of a wall above the lumen, if 4 standard deviations of the noise are less."""
+"""Minimum rise in HU of a wall above the lumen, if 4 standard deviations of the noise are less."""
 BRIGHTEST_WALL_HU = 100.0
 """Upper limit in HU of wall values, so that calcified cartilage and enhanced vessels have no effect."""
 WALL_RISE_HU = 1020.0
 """Rise in HU of an airway wall (soft tissue of 20 HU) above air; a thinner wall shows less in proportion."""
 USUAL_NOISE_HU = 25.0
 OPEN_SHARE = 0.9
-"""Share of a section's rays that meet a wall, below which the lumen is open to another one, as at a fork."""
+"""Share of a section's rays that meet a wall, below which the lumen is open to another branch's lumen, as at a fork."""
 MIN_EDGE_SHARE = 0.5
-"""Least share of rays that meet a wall in a section at the edge of the CT, for use in a route's diameter."""
+"""Minimum share of rays that meet a wall, for a section cut by the edge of the CT that a route's diameter may use."""
 RAYS_PER_MM = 1024.0
 """Number of steps per mm to which ray lengths are rounded.
 
@@ -175,7 +175,7 @@ class BranchMeasures(Tabular):
         return columns | {name: ("flag", values.tolist()) for name, values in flags.items()}
 
     def diameter_near(self, point_lps: Floats) -> float | None:
-        """Return the diameter (mm) of the usable section nearest to a point (LPS, mm); None if there is none."""
+        """Return the diameter (mm) of the nearest section that the summary uses; None without one."""
         used = np.flatnonzero(self.is_usable)
         if not len(used):
             return None
@@ -183,14 +183,14 @@ class BranchMeasures(Tabular):
         return float(self.equivalent_mm[used[int(np.argmin(away))]])
 
     def narrowest(self, until_mm: float = math.inf) -> Diameter | None:
-        """Return the narrowest diameter up to a given length along the branch; None if no section is usable."""
+        """Return the narrowest diameter up to a length along the branch; None without a usable section."""
         used = self.is_usable & (self.at_mm <= until_mm)
         return narrowest_diameter(
             self.at_mm[used], self.equivalent_mm[used], self.equivalent_error_mm[used], branch_id=self.branch_id
         )
 
     def passage(self, *, has_fork: bool, parent_mm: float = 0.0) -> Passage:
-        """Return the largest diameter that can pass along the branch.
+        """Return the diameter of the widest instrument that can pass each point of the branch.
 
         Parameters
         ----------
@@ -350,7 +350,7 @@ class TreeMeasures(Tabular):
         return next((fork for fork in self.forks if fork.branch_id == branch_id), None)
 
     def passage(self, branch_id: int) -> Passage:
-        """Return the largest diameter that can pass along a branch.
+        """Return the diameter of the widest instrument that can pass each point of a branch.
 
         Raises
         ------
@@ -371,7 +371,7 @@ class TreeMeasures(Tabular):
         return found
 
     def narrowest_of_route(self, branch_ids: Iterable[int], until_mm: float = math.inf) -> Diameter | None:
-        """Return the narrowest diameter that can pass along a route; None if nothing was measured.
+        """Return the diameter of the widest instrument that can pass a route; None if nothing was measured.
 
         The error of the diameter is half of an interval that is to contain the true value in 90 of 100 cases. Parts
         without sections are ignored; a planned route reports them too (:attr:`carina.plan.PlannedRoute.width`).
@@ -586,7 +586,7 @@ def _key(branch: Branch, tree: AirwayTree) -> bytes:
 
 
 def _has_same_inputs(old: BranchMeasures, new: BranchMeasures) -> bool:
-    """Return whether a branch's summary and its sections at forks are the same before and after an edit."""
+    """Return whether an edit leaves the data unchanged from which a branch's summary and fork sections are computed."""
     return old.summary == new.summary and np.array_equal(old.at_junction, new.at_junction)
 
 

@@ -17,10 +17,10 @@ from carina.track.measures.diameter import branch_diameter, narrowest_diameter
 Floats = NDArray[np.float64]
 
 HEALTHY_SHARE = 0.9
-"""Least diameter of a healthy section, as a share of the diameter of the branch's wide part."""
+"""Minimum diameter of a healthy section, as a share of the diameter of the branch's wide part."""
 WIDE_PERCENTILE = 80.0
 MIN_HEALTHY_MM = 3.0
-"""Least length in mm of healthy branch on one side of a narrowing that suffices as a reference."""
+"""Minimum length in mm of healthy branch on one side of a narrowing for it to be the reference."""
 MURRAY_POWER = 3.0
 """Exponent of Murray's law (1926): the cubes of the diameters of two branches add up to that of their parent."""
 NEIGHBOURS_ERROR = 0.15
@@ -291,7 +291,7 @@ def _own_reference(at: Floats, diameter: Floats, error: Floats, least: int) -> R
 
 
 def _missed_forks(distance_mm: float, diameter_mm: float) -> float:
-    """Return the error, as a share, of a reference diameter because of forks that the CT does not show.
+    """Return the error, as a share, of a reference diameter that is due to forks which the CT does not show.
 
     The forks may be between the reference and the stenosis. One fork is assumed, and one more for each three diameters
     of distance: an airway that divides, one branch of which the CT does not show, looks like an airway that narrows.
@@ -301,7 +301,7 @@ def _missed_forks(distance_mm: float, diameter_mm: float) -> float:
 
 
 def _narrowest_error_mm(at: Floats, diameter: Floats, error: Floats, least: int) -> float:
-    """Return half of the 95 % interval of the narrowest diameter, mm, as the extreme of the branch's sections.
+    """Return half of the 95 % interval of the narrowest diameter, mm, which is the minimum over many sections.
 
     Sections one diameter apart count as independent (Bonferroni). Blur mixes the wider airway beside it into a section,
     so the widening over that distance is part of the error.

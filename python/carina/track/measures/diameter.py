@@ -20,13 +20,14 @@ Floats = NDArray[np.float64]
 DEVIATIONS_95 = 1.96
 """Number of standard deviations on each side of a mean that contain 95 % of a normal distribution."""
 SCATTER_SHARE = 0.5
-"""Share of the scatter (95 % interval) that is added to a branch's error; the model error includes the rest."""
+"""Share of the scatter (95 % interval) that is added to a branch's error; the model error already contains the rest."""
 NARROW_REACH_DIAMETERS = 0.5
-"""Half length, in diameters, of the window of the running median that removes single wrong diameters."""
+"""Half length, in airway diameters, of the window of the running median that removes single wrong diameters."""
 SECTION_ERROR = 1.645 / DEVIATIONS_95
-"""Factor from half of a 95 % interval to half of a 90 % interval: sections state the first, passages the second."""
+"""Factor from a half 95 % interval (stated for sections) to a half 90 % interval (stated for passages)."""
 PASSAGE_ERROR = 0.03
-"""Additional error of a passage, as a share of its diameter (calibrated: ``carina_bench.plan_widths``)."""
+"""Additional error of a passage (widest instrument that passes), as a share of its diameter
+(``carina_bench.plan_widths``)."""
 FORK_ERROR = 0.05
 """Additional error of a passage whose sections all cut through a fork, as a share of its diameter.
 
@@ -47,9 +48,9 @@ START_MM = 10.0
 MEDIAN_VARIANCE = 0.5 * np.pi
 """Variance of a median of many normal values, as a multiple of the variance of their mean."""
 MAX_CORRELATION = 0.9
-"""Upper limit of the correlation of neighbouring sections, which a running median cannot estimate when larger."""
+"""Upper limit of the correlation of neighbouring sections; a running median cannot estimate a larger one."""
 MIN_FOR_SCATTER = 5
-"""Number of measured sections below which the scatter of the diameters is not estimated."""
+"""Minimum number of measured sections from which the scatter of the diameters is estimated."""
 
 
 @one_line
@@ -69,7 +70,7 @@ class Diameter:
 @one_line
 @dataclass(frozen=True, slots=True, eq=False)
 class Passage:
-    """Largest diameter that can pass each point of one branch, along its centreline.
+    """Diameter of the widest instrument that can pass each point of one branch, along its centreline.
 
     The diameter at a point is the median over one diameter of the sections' least widths, or the value on which two
     sections agree, if it is below the median by more than the error. In a round lumen the least width is the
@@ -86,12 +87,13 @@ class Passage:
     error_mm: Floats
     """Half (n,) of an interval in mm that should contain the true value in 90 of 100 cases."""
     unmeasured: NDArray[np.intp]
-    """Indices of centreline points without a section: drawn parts, bridges, the edge of the CT, invisible walls."""
+    """Indices of centreline points without a cross-section: there is no visible wall, or the CT ends, or a user
+    added the branch."""
     length_mm: float
     """Length of the branch, mm."""
 
     def without_start(self) -> Passage:
-        """Return the passage of the first branch without its start, where the CT may cut the trachea.
+        """Return the passage of the first branch without its first part, where the CT may cut the trachea.
 
         Missing sections count only if no section is left, because they may be missing at both ends of the trachea.
         """
@@ -221,7 +223,7 @@ def narrowest_of_passages(passages: Sequence[Passage]) -> Diameter | None:
 
 
 def least_with_error(diameter_mm: Sequence[float] | Floats, error_mm: Sequence[float] | Floats) -> tuple[float, float]:
-    """Return the least diameter and its error, which also covers each place that may be narrower, mm.
+    """Return the smallest diameter and an error that also covers other places which may be narrower, mm.
 
     A place may be narrower if its diameter less its error is smaller.
     """

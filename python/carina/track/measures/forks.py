@@ -20,7 +20,7 @@ CHORD_DIAMETERS = 2.0
 LOOK_MM = 0.25
 """Step in mm along two branches of a fork at which their centrelines are compared."""
 BEYOND_CARINA_RADII = 0.5
-"""Distance beyond the carina, in radii, beyond which a section contains only its own branch's lumen."""
+"""Distance beyond the carina, in radii, from which a section contains the lumen of its own branch only."""
 BEFORE_FORK_RADII = 1.0
 """Distance before a fork, in radii, from which the lumen is wider than the branch."""
 
@@ -154,7 +154,7 @@ def _as_tuple(point: Points) -> tuple[float, float, float]:
 
 
 def _carina(volume: Volume, lumen_zyx: NDArray[np.uint8], one: Branch, other: Branch) -> tuple[float, Points] | None:
-    """Return the distance (mm) from the fork at which the wall separates two branches, and the ridge point there.
+    """Return the ridge of wall at which two branches part: distance (mm) from the fork, and a point.
 
     Points at the same distance from the fork on both branches are joined by straight lines; the first line that
     leaves the lumen crosses the ridge. Returns None if none does.

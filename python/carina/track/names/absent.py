@@ -49,8 +49,8 @@ FARTHEST_MM = 15.0
 USUAL_ORIGIN = 1.3
 """Usual distance of a bronchus from the carina, as a multiple of its shortest distance (:mod:`scan_extent`)."""
 MIN_MATCH = 0.5
-"""Least cosine between the direction beyond a filled place and the usual direction of a bronchus."""
-# Largest distance in mm between the filling of a bronchus and the end of the airway before it.
+"""Minimum cosine between the direction beyond a filled place and the usual direction of a missing bronchus."""
+# Maximum distance in mm between the filling of a bronchus and the end of the airway before it.
 AT_END_MM = 4.0
 # A tip up to this length may be the stump of a lobe's bronchus.
 STUMP_MM = 10.0
@@ -76,7 +76,7 @@ class Absence:
     evidence.
     """
     carrier: str
-    """Name of the nearest found airway that leads to the missing lobe or segment (its carrier)."""
+    """Name of the nearest airway that was found and would lead to the missing lobe or segment."""
     beyond_mm: float | None
     """Distance in mm along the airway from the start of ``carrier`` to ``lps``; None if no point is known."""
     lps: tuple[float, float, float] | None
@@ -229,7 +229,7 @@ class _Missing:
     usual: str
     """Name of the missing lobe or segment in a chest that is not mirrored."""
     carriers: tuple[str, ...]
-    """Names of the airways (carriers) from which the missing bronchus may arise, the nearest first."""
+    """Names of the airways from which the missing bronchus may arise, the nearest first."""
     segments: frozenset[str]
     """Names of the segments that the missing lobe or segment comprises."""
 
@@ -311,7 +311,7 @@ class _NamedTree:
         return segment.endswith("B1+2") and halves <= self._segments
 
     def stems_of(self, segment: str) -> list[str]:
-        """Return the names of common stems that carry a segment, those with the fewest segments first."""
+        """Return the names of the stems (bronchi of several segments) of a segment, the smallest stem first."""
         side, number = segment[:2], segment[2:]
         stems = {name for name in self._names.values() if name is not None and name.startswith(side) and "+" in name}
         holding = [stem for stem in stems if set(number.split("+")) <= set(stem[2:].rstrip(_LETTERS).split("+"))]
@@ -363,7 +363,7 @@ class _NamedTree:
     def _filled_for(
         self, one: _Missing, missing: Sequence[_Missing], chain: Sequence[Branch], last: Branch
     ) -> Uncertainty | None:
-        """Return the filled place that explains why a bronchus is missing, or None.
+        """Return the place with filled lumen that explains why a bronchus is missing, or None.
 
         A place explains it if the airway that leads to the missing bronchus ends at the place. A place with unreached
         air beyond also explains it, if this air lies in the direction of the bronchus and not of another missing one.
@@ -399,7 +399,7 @@ class _NamedTree:
         return direction
 
     def _other_unnamed(self, chain: Sequence[Branch]) -> Branch | None:
-        """Return the largest branch at a carrier that has neither a name nor a probable segment, or None."""
+        """Return the largest branch at an airway's end that has neither a name nor a probable segment, or None."""
         found = [
             self._branches[child]
             for branch in chain
@@ -417,7 +417,7 @@ class _NamedTree:
         return self._unnamed.get(branch_id, frozenset())
 
     def _holder(self, segments: frozenset[str], chain: Sequence[Branch], below: Sequence[Branch]) -> Branch | None:
-        """Return the unnamed branch nearest to the carrier's end that leads to the segments; None if there is none."""
+        """Return the unnamed branch nearest to an airway's end that leads to the segments, or None."""
         near = [
             branch
             for branch in below
@@ -431,7 +431,7 @@ class _NamedTree:
         return whole[0] if whole else None
 
     def _stump_on(self, chain: Sequence[Branch], lobe: str) -> Uncertainty | None:
-        """Return the place at which a lobe's bronchus ends in a stump, or None.
+        """Return the place on an airway at which a lobe's bronchus ends in a stump, or None.
 
         A stump is a short branch that has the lobe's name or no name.
         """
@@ -444,7 +444,7 @@ class _NamedTree:
         return None
 
     def _chain(self, start: Branch) -> list[Branch]:
-        """Return the consecutive branches of the name of a branch, into which side branches divide an airway."""
+        """Return the successive branches of one airway, between side branches, that share the name of a branch."""
         chain = [start]
         while True:
             name = self._names[start.id]
@@ -527,13 +527,13 @@ class _Maker:
 
 
 def _is_at_end(place: Uncertainty, branch: Branch) -> bool:
-    """Return whether a branch ends at a filled place."""
+    """Return whether a branch ends at a place with filled lumen."""
     off_mm = float(np.linalg.norm(branch.tip_lps - np.array(place.lps)))
     return off_mm <= 0.5 * (place.length_mm or 0.0) + AT_END_MM
 
 
 def _is_beside(place: Uncertainty, branch: Branch | None) -> bool:
-    """Return whether a filled or closed place is far from the tip of its branch."""
+    """Return whether a place with filled or closed lumen is far from the tip of its branch."""
     return branch is not None and float(np.linalg.norm(branch.tip_lps - np.array(place.lps))) > AT_END_MM
 
 

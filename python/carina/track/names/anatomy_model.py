@@ -37,11 +37,11 @@ class Segment:
     direction: Vector
     """Direction (3,) of the segment's bronchus: x lateral, y posterior, z superior."""
     place: Vector
-    """Position of the territory from the centre of the lung, x lateral, in units of about half a lung height."""
+    """Position of the segment's territory relative to the centre of the lung, x lateral, in about half lung heights."""
     absent: float
     """Probability that the segment is missing from the tree of a good CT, because it is absent or was not found."""
     bulk: float = 1.0
-    """Expected total length of the segment's bronchi, relative to that of other segments."""
+    """Expected total length of the segment's bronchi, relative to the mean over all segments."""
 
 
 # Absent: RB7 6.1 %, B* present in 16 % (MESA, n = 3,169); no B9 in 18 % of 238 (Huang 2019); the rest: not found.
@@ -120,7 +120,7 @@ _STEMS: dict[str, tuple[dict[frozenset[str], float], float]] = {
     ),
 }
 
-# Directions of trunks, x lateral (for the trachea: x to the left).
+# Directions of the bronchi of several segments; x is lateral (for the trachea: to the left).
 _TRUNKS: dict[str, Vector] = {
     "RMB": (0.50, 0.10, -0.85),
     "BI": (0.25, 0.20, -0.95),
@@ -136,9 +136,9 @@ _TRACHEA = (0.0, 0.22, -0.97)
 """Direction of the trachea, x to the left."""
 
 TRUNCATED = math.log(0.25)
-"""Log odds that the branch of a stem of two segments ends before the stem divides."""
+"""Log odds that the visible branch of a common stem of two segments ends before the stem divides."""
 TRUNCATED_MORE = -0.5
-"""Log odds that are added to ``TRUNCATED`` for each segment of the stem beyond two."""
+"""Log odds that are added to ``TRUNCATED`` for each segment of the stem beyond the second."""
 GROUP_LOST = 0.02
 GROUPS_LOST = (
     frozenset({"LB1", "LB2", "LB3"}),
@@ -152,10 +152,10 @@ DOUBLE = math.log(0.1)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Division:
-    """All divisions of states in two, in both orders, as arrays sorted by the dividing state."""
+    """Divisions of a state (set of segments) into two states, in both orders, as arrays sorted by the divided state."""
 
     state: NDArray[np.intp]
-    """Index in `names` (n,) of the state that each division divides."""
+    """Index in `names` (n,) of the state that is divided."""
     one: NDArray[np.intp]
     """Index in `names` (n,) of the state of each division's first part."""
     two: NDArray[np.intp]
@@ -172,10 +172,10 @@ class Division:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Grammar:
-    """States and rules of the grammar, as arrays."""
+    """States (sets of segments, lobes and trunks) of the anatomical model and rules of their division."""
 
     names: list[str]
-    """Name of each state of the grammar."""
+    """Name of each state, such as a segment, a lobe or a trunk."""
     segments: list[frozenset[str]]
     """Keys of the segments that a state carries (nominally)."""
     lobe: list[str | None]
@@ -195,7 +195,7 @@ class Grammar:
     division: Division
     """All divisions of the states."""
     shrink: list[tuple[int, NDArray[np.intp], NDArray[np.float64]]]
-    """Rules for states that represent other states of which parts are missing: state, other states, log odds.
+    """Rules for states with missing parts, which stand for other states: state, other states, log odds.
 
     The order of the rules allows the sums to be computed in one pass.
     """
@@ -217,7 +217,7 @@ def mirrored_key(key: str) -> str:
 
 @dataclass(frozen=True, slots=True)
 class _Lobe:
-    """Lobe of a grammar: its segments, and the lobe of a usual chest whose pattern it has."""
+    """Lobe of a grammar: its segments, and the lobe of a usual chest whose divisions it has."""
 
     name: str
     keys: tuple[str, ...]
@@ -231,7 +231,7 @@ class _Lobe:
 
     @property
     def groups_lost(self) -> list[frozenset[str]]:
-        """Groups of segments that a search loses together."""
+        """Groups of segments that a search usually misses together."""
         own = [group for group in GROUPS_LOST if group <= set(LOBES[self.pattern])]
         if self.pattern == self.name:
             return own
@@ -239,7 +239,7 @@ class _Lobe:
 
 
 def _stem_aptness(lobe: str, part: frozenset[str], seen: frozenset[str]) -> float:
-    """Return the weight of a common stem of the segments ``part``, if only the segments ``seen`` are visible.
+    """Return the weight of a common stem of the segments ``part`` if only the segments ``seen`` are in the tree.
 
     The stem may also carry segments that are not visible.
     """

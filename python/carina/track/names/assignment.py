@@ -1,4 +1,4 @@
-"""Assignment of segments to bronchi by a sum over all readings of a tree, weighted by the anatomical model.
+"""Assignment of segments to bronchi: a sum over all readings (assignments of names) of a tree, by the anatomical model.
 
 A reading assigns a state of the grammar to each bronchus. Sums over every derivation of the grammar, from the tips
 inwards (inside) and back (outside), give each bronchus the probability of each state, which is its confidence. The
@@ -35,10 +35,10 @@ CALIBRE_ANY = 0.5
 CALIBRE_INSIDE = math.log(0.7)
 """Log of the usual radius of an airway inside a segment, relative to the radius of the segment's bronchus."""
 MAX_FORKS = 11
-"""Largest number of forks from the root up to which states are assigned to bronchi; RB10 may be the eighth bronchus."""
+"""Maximum number of forks from the root up to which states are assigned to bronchi; RB10 may be the eighth bronchus."""
 TEMPER = 0.6
 DIVISION = -0.8
-"""Log penalty of each division of a set of segments at a fork.
+"""Log probability penalty of each division of a set of segments at a fork.
 
 Forks inside a segment spread like neighbouring segments, so a fork that looks like a division of segments is weaker
 evidence than among forks in all directions.
@@ -55,7 +55,7 @@ def _log_peak(kappa: Array | float) -> Array:
 STUMP_MM = 2.5
 """Radius in mm from which a short end of a bronchus counts as a stump (after a resection, or before a plug)."""
 STUMP_SHARE = 0.55
-"""Least ratio of a stump's radius to its parent's radius.
+"""Minimum ratio of a stump's radius to its parent's radius.
 
 A short blind bronchus of this width is not a twig but the rest of a lost bronchus.
 """
@@ -66,7 +66,7 @@ LOST_LOBE = math.log(0.05)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _ForkSide:
-    """One or several bronchi that leave a fork, combined into one side of the fork."""
+    """One or several bronchi that leave a fork and are combined into one side of a division in two."""
 
     middle: Array
     direction: Array
@@ -135,7 +135,7 @@ class _Tables:
         return found
 
     def rows(self, one: int, two: int) -> Array:
-        """Return the log weight of each division of the grammar for a fork whose sides are ``one`` and ``two``.
+        """Return the log weight of each division of the grammar at a fork whose two sides are ``one`` and ``two``.
 
         The weight of the undivided airway before the fork is not included.
         """
@@ -174,7 +174,7 @@ def _together(parts: Sequence[_ForkSide]) -> _ForkSide:
 
 
 class _Model:
-    """Evidence of the grammar for one tree in one frame."""
+    """Log evidence of each state for the bronchi of one tree in one orientation of the body axes."""
 
     def __init__(
         self,
@@ -248,7 +248,7 @@ class _Model:
         return result
 
     def evidence(self, number: int) -> Array:
-        """Return the log evidence of each state for one bronchus on its own."""
+        """Return the log evidence of each state from the direction and calibre of one bronchus alone."""
         grammar = self.grammar
         total = KAPPA_DIRECTION * (grammar.direction @ self.directions[number] - 1.0) + _log_peak(KAPPA_DIRECTION)
         lung = self.lungs.get(number)
@@ -278,7 +278,7 @@ class _Model:
 
 
 def _spur(bronchi: list[Bronchus], number: int) -> float:
-    """Return the log odds that a bronchus leads to no segment: high for twigs, low for a large part of the tree."""
+    """Return the log odds that a bronchus leads to no segment: high for twigs, low with many branches."""
     bronchus = bronchi[number]
     assert bronchus.parent is not None
     parent = bronchi[bronchus.parent]
@@ -309,7 +309,7 @@ def _is_stump(bronchi: list[Bronchus], number: int) -> bool:
 
 
 class Solver:
-    """Solver that sums over all readings of one tree in one frame.
+    """Solver that sums over all readings (assignments of names) of one tree in one orientation of the body axes.
 
     Parameters
     ----------
@@ -391,7 +391,7 @@ class Solver:
         return Solution(self.readings)
 
     def shares_of_states(self) -> Array:
-        """Return the share (n, states) of all readings in which each bronchus carries each state."""
+        """Return the probability (n, states) that each bronchus has each state, summed over all readings."""
         self.solution()
         shares = np.zeros((len(self.bronchi), len(self.grammar)))
         for number, post in enumerate(self.posts):
@@ -400,11 +400,11 @@ class Solver:
         return shares
 
     def ending(self, number: int) -> Array:
-        """Return the log odds per state that a bronchus ends before it divides."""
+        """Return the log odds, for each state, that a bronchus ends before it divides."""
         return self.model.stump if _is_stump(self.bronchi, number) else self.model.truncated
 
     def part_of(self, number: int) -> _ForkSide:
-        """Return a bronchus as one side of a fork."""
+        """Return a bronchus as one side of a fork, with its log odds per state."""
         model = self.model
         inner, spur = model.held.get(number, (None, 0.0))
         bronchus = self.bronchi[number]
@@ -417,7 +417,7 @@ class Solver:
         )
 
     def _spread_shrink(self, post: Array, sums: Array, own: Array) -> Array:
-        """Distribute the probability of states that represent other states to these; the rest stays with each state."""
+        """Move probability from states with missing parts to the states that they stand for; the rest remains."""
         spread = post.copy()
         for state, others, odds in reversed(self.grammar.shrink):
             if spread[state] <= 0.0 or not np.isfinite(sums[state]):
@@ -487,7 +487,7 @@ class Solver:
         self._read_below(number, settled)
 
     def _settled(self, state: int, sums: Array, own: Array) -> int:
-        """Return the likeliest state that a state represents, or the state itself if it is likelier."""
+        """Return the likeliest state that an incomplete state stands for, or the state itself if it is likelier."""
         while True:
             rule = next((r for r in self.grammar.shrink if r[0] == state), None)
             if rule is None:

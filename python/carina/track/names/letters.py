@@ -23,7 +23,7 @@ class LetterRule(enum.StrEnum):
 
 
 def letter_order(middles: Sequence[NDArray[np.float64]], rule: LetterRule) -> tuple[list[int], float]:
-    """Return the order in which siblings get their letters, and the certainty of the order (0..1).
+    """Return the indices of siblings in the order of their letters, and the certainty of this order (0 to 1).
 
     Parameters
     ----------

@@ -47,9 +47,9 @@ __all__ = [
 ]
 
 SURE_ENOUGH = 0.5
-"""Least probability of a name; with a lower probability only the lobe of a branch is determined."""
+"""Minimum probability of a name; with a lower probability only the lobe of a branch is stated."""
 UNFIT = -40.0
-"""Log odds of a reading that contradicts a user's name."""
+"""Log odds of a reading (assignment of names) that contradicts a name given by a user."""
 LOG_MIRRORED = math.log(1e-3)
 """Log odds of a mirrored chest.
 
@@ -58,17 +58,17 @@ Situs inversus has a frequency of 1 in 10,000; files with left and right exchang
 TURN_SPREAD_RAD = math.radians(15.0)
 """Standard deviation in radians of a patient's rotation on the table."""
 MAX_TURNS, MIN_TURN_RAD = 12, math.radians(0.1)
-"""Largest number of rotations of the body frame, and the rotation (rad) below which the frame has converged."""
+"""Maximum number of rotations of the body axes, and the rotation (rad) below which they have converged."""
 MIN_GAIN = 1.5
-"""Gain of log evidence that a fit of the body frame's three angles reaches by noise alone: half their number."""
+"""Gain of log evidence that a fit of the body axes' three angles reaches by noise alone: half their number."""
 MIN_READ_FOR_FRAME = 6.0
-"""Least expected number of bronchi with a state at which the body frame is refined by their directions."""
+"""Minimum expected number of bronchi with an assigned state for which the body axes are refined by their directions."""
 MIN_BRANCHES = 12
-"""Number of branches of a tree below which its lobes are not distinguished."""
+"""Minimum number of branches of a tree whose lobes are distinguished."""
 COARSE_FORKS = 5
-"""Number of forks from the root up to which airways are used to choose the body frame and the side."""
+"""Number of forks from the root up to which airways determine the body axes and the side of the three-lobed lung."""
 NUM_TREES = 4
-"""Number of trees whose assignment of lobes is cached; a further tree removes the least recently used one."""
+"""Maximum number of trees whose lobes are cached; a further tree replaces the least recently used one."""
 LETTERS, ROMAN = "abcdefgh", ("i", "ii", "iii", "iv", "v", "vi", "vii", "viii")
 
 _VARIANT_STEMS = {
@@ -165,7 +165,7 @@ def name_human_tree(tree: AirwayTree, *, is_mirrored: bool) -> AirwayTree:
 
 
 def _named_all(tree: AirwayTree, letter_rule: LetterRule, *, human_mirrored: bool | None = None) -> AirwayTree:
-    """Name a tree; a known human tree has its laterality in ``human_mirrored``."""
+    """Name a tree; for a known human tree, ``human_mirrored`` states whether the three-lobed lung is on the left."""
     read = _read(tree)
     names, notes = _names_of(read, letter_rule)
     given = {bare_name(b.name) for b in tree.branches if b.name_from == "person" and b.name is not None}
@@ -249,7 +249,7 @@ def _seen_and_read(branches: tuple[Branch, ...]) -> tuple[AirwayTree, dict[int, 
 
 
 def segment_readings(tree: AirwayTree) -> tuple[float | None, list[tuple[str, float, tuple[int, ...]]]]:
-    """Return the data for the calibration of names: fit of a tree, and its segments with the shares of their readings.
+    """Return data for the calibration of names: a tree's goodness of fit, and its segments' probabilities.
 
     Returns
     -------
@@ -356,7 +356,7 @@ def _read(tree: AirwayTree, *, judges_fit: bool = True) -> _Named:
         usual, rules = rules, grammar(left_isomerism=True)
         usual_constraints, (wishes, held) = (wishes, held), _constraints(rules, bronchi, given)
         other, solver = attempt(first)
-        # Both readings are compared in the same frame, which neither has refined.
+        # The usual reading and that of a left isomerism are compared in body axes that neither has refined.
         if other > unrefined:
             straight = other if first is not guess else attempt(np.eye(3))[0]
             score, frame = refined(other, solver, first)
@@ -391,7 +391,7 @@ def _angle(rotation: NDArray[np.float64]) -> float:
 def _closer_frame(
     rules: Grammar, bronchi: list[Bronchus], solver: Solver, frame: NDArray[np.float64], *, mirrored: bool
 ) -> NDArray[np.float64] | None:
-    """Return the frame that turns the bronchi to the mean directions of their states, over all readings.
+    """Return body axes in which the bronchi point in the mean directions of their states, over all readings.
 
     No state is chosen, so a small change of the tree turns the frame by a small angle.
     """
@@ -409,7 +409,7 @@ def _closer_frame(
 def _constraints(
     rules: Grammar, bronchi: list[Bronchus], given: dict[int, str]
 ) -> tuple[dict[int, NDArray[np.float64]], dict[int, tuple[NDArray[np.float64], float]]]:
-    """Return the constraints that users' names put on the readings of their bronchus and of the bronchi before it."""
+    """Return the log odds per state that users' names impose on their bronchi and on the bronchi before them."""
     wishes: dict[int, NDArray[np.float64]] = {}
     held: dict[int, tuple[NDArray[np.float64], float]] = {}
     known = {number: name for number, name in given.items() if name_words(name) is not None}
@@ -529,7 +529,7 @@ def _word(rules: Grammar, state: int, seen: set[str]) -> str:
 
 
 def _halved_sides(rules: Grammar) -> tuple[str, ...]:
-    """Return the sides on which the segments 1 and 2 are the halves of one segment."""
+    """Return the sides (right, left) of the model on which segments 1 and 2 are halves of one segment."""
     return ("R", "L") if rules.left_isomerism else ("L",)
 
 
@@ -612,7 +612,7 @@ def _name_stubs(
     sure: NDArray[np.float64],
     names: dict[int, tuple[str | None, float]],
 ) -> None:
-    """Name the short piece between two forks that were merged into one, after the bronchus before the piece."""
+    """Name each short piece between two merged forks like the bronchus before the piece."""
     for number, bronchus in enumerate(read.bronchi):
         word = words[number]
         for stub in bronchus.stubs:
@@ -621,7 +621,7 @@ def _name_stubs(
 
 
 def _variants(read: _Named, words: list[str | None], sure: NDArray[np.float64], carried: set[int]) -> dict[int, str]:
-    """Return the text of the anatomical variants, by the branch that shows each one."""
+    """Return the texts of the anatomical variants, by the index of the branch that shows the variant."""
     bronchi, readings = read.bronchi, read.solution.readings
     notes: dict[int, str] = {}
 

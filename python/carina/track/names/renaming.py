@@ -19,19 +19,19 @@ from carina.track.names.tree_fit import MISFIT
 from carina.track.tree.airway_tree import AirwayTree, Branch
 
 MAX_ADDED = 2
-"""Largest number of new branches with which the former names stay.
+"""Maximum number of new branches with which all former names remain.
 
 One added branch makes two: the branch, and the lower part of its divided parent. An edit that adds more, such as a
 bridge, adds airways that were unknown when the former names were chosen.
 """
 MAX_CHANGED = 2
-"""Largest number of new and removed branches with which a human tree stays one, however poorly it fits."""
+"""Maximum number of new and removed branches with which a human tree remains one, however poorly it fits."""
 MIN_LOG_PROBABILITY = math.log(0.05)
-"""Log probability of the former names in the edited tree, below which the branches are renamed."""
+"""Minimum log probability of the former names in the edited tree; below it the branches are renamed."""
 MIN_EXTENSION_MM = 2.0
-"""Least length in mm by which an edit must extend a tip for the extension to affect the names."""
+"""Minimum length in mm by which an edit must extend a tip for the extension to affect the names."""
 SURE_OF_NEW = 0.8
-"""Least confidence of a name for a branch that had no name before the edit and is not itself new.
+"""Minimum confidence of a name for a branch that had no name before the edit and is not itself new.
 
 A name of at least this confidence is not lost by the extension of a tip.
 """
@@ -167,7 +167,7 @@ def _named_by_change(before: AirwayTree, tree: AirwayTree) -> AirwayTree:
 
 
 def _named_like(before: AirwayTree, tree: AirwayTree) -> AirwayTree:
-    """Name an edited tree; it is a human one if it was before a small edit, else its goodness of fit decides."""
+    """Name an edited tree; after a small edit a human tree remains one, else its goodness of fit decides."""
     num_changed = len({branch.id for branch in before.branches} ^ {branch.id for branch in tree.branches})
     is_named = any(branch.name_from == "anatomy" for branch in before.branches)
     was_human = num_changed <= MAX_CHANGED and is_named and MISFIT not in _badges(before)

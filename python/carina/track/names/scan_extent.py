@@ -1,4 +1,4 @@
-"""Lobes and segments whose bronchus is outside the scan."""
+"""Lobes and segments whose bronchus begins outside the scan."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ PADDING_MM = 5.0
 
 
 class ScanExtent:
-    """Part of the chest that a scan contains, from which it follows which bronchi can be visible."""
+    """Region of the chest that a scan contains, from which follows which bronchi can be visible."""
 
     def __init__(self, volume: Volume, tree: AirwayTree, names: Sequence[str | None]) -> None:
         self._volume = volume

@@ -17,16 +17,16 @@ Frame = NDArray[np.float64]
 
 MISFIT = "track.tree-unlike-human"
 POOR_FIT = 1.5
-"""Lowest goodness of fit of a human bronchial tree in the orientation of its file (docs/decisions/0137)."""
+"""Minimum goodness of fit of a human bronchial tree in the orientation of its file (docs/decisions/0137)."""
 AGAINST = 1.5
-"""Weight of the advantage over other orientations in the goodness of fit; the evidence itself has weight 1."""
+"""Weight in the goodness of fit of the tree's advantage over other orientations; its evidence has weight 1."""
 MIRRORED_FIT = 0.75
-"""Additional goodness of fit that is required for the reading as a mirrored chest.
+"""Additional goodness of fit that a tree needs to be read as a mirrored chest.
 
 Situs inversus is rare, and a tree of any kind may fit a mirrored chest by chance.
 """
 MIN_READ = 10
-"""Least number of bronchi with an assigned state for which the goodness of fit is computed."""
+"""Minimum number of bronchi with an assigned state for which the goodness of fit is computed."""
 GOOD_FIT = 4.0
 """Goodness of fit above which a better fit no longer raises the confidence."""
 # Log odds of a correct name: constant, factor of the log odds of the reading, and change per nat below a good fit.

@@ -1,4 +1,4 @@
-"""Shape of a tree for naming: bronchi without twigs and stubs, their directions, and the airways beyond them."""
+"""Shape of a tree for naming: bronchi without twigs and stubs (false branches and forks), with directions."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 from carina.track.tree.airway_tree import AirwayTree, Branch
 
 TWIG = 1.1
-"""Largest distance of a twig's tip from the parent's axis, in parent radii; the twig stays in the parent's lumen."""
+"""Maximum distance of a twig's tip from its parent's axis, in parent radii; a twig is a bulge of the parent's lumen."""
 STUB = 0.8
-"""Largest distance of two forks that count as one fork, in radii of the airway before them."""
+"""Maximum distance of two forks that count as one fork, in radii of the airway before them."""
 MAX_AT_A_FORK = 5
 START_MM = 8.0
-"""Length in mm from the start of a branch over which the radius that estimates its flow is measured."""
+"""Length in mm from the start of a branch over which the radius is measured from which its flow is estimated."""
 TIP_START_MM = 20.0
 """Length in mm from the start of a tip over which the tip's radius is measured."""
 TIP_END_MM = 6.0
@@ -25,12 +25,12 @@ TIP_END_MM = 6.0
 AHEAD_MM = (10.0, 15.0, 20.0)
 """Distances beyond a fork at which the directions of its bronchi are compared, mm."""
 LEAN = 0.22
-"""Backward inclination of a trachea, in mm per mm of descent."""
+"""Backward inclination of a typical trachea, in mm per mm of descent."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Bronchus:
-    """Airway between two true forks; it consists of one or several branches of the tree."""
+    """Airway between two forks (bulges excluded); it consists of one or several branches of the tree."""
 
     pieces: tuple[int, ...]
     """Indices of the bronchus's branches in ``tree.branches``, in order."""
@@ -46,7 +46,8 @@ class Bronchus:
     """Last point (3,) of the bronchus, LPS in mm."""
     length_mm: float
     radius_mm: float
-    """Mean of the median radii of its branches, weighted by their lengths; of a tip, the radius of its first 20 mm."""
+    """Mean of the branches' median radii, weighted by their lengths; for a bronchus with a tip, that of its first
+    20 mm."""
     direction: NDArray[np.float64]
     """Unit vector (3,) along the bronchus, LPS."""
     middle: NDArray[np.float64]
@@ -112,7 +113,7 @@ def bronchi_of(tree: AirwayTree, keep: AbstractSet[int] = frozenset()) -> list[B
         return bool(held[number] or reach[number] > TWIG * end_radius[parent])
 
     def forks_from(number: int, before: float, stubs: list[int]) -> list[int]:
-        """Return the bronchi that leave the end of a branch, also through stubs."""
+        """Return the bronchi that leave the end of a branch, directly or beyond a short piece between merged forks."""
         found: list[int] = []
         for child in (c for c in children[number] if real(c, number)):
             inner = [c for c in children[child] if real(c, child)]

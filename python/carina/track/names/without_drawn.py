@@ -1,4 +1,4 @@
-"""Exclusion of branches drawn without evidence from naming: names are derived from the tree without them."""
+"""Naming of trees with hand-drawn branches: names are derived from the tree without these branches."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def seen_part(tree: AirwayTree) -> tuple[AirwayTree, dict[int, int]]:
 
 
 def carried_names(tree: AirwayTree, named: AirwayTree, place_of: dict[int, int]) -> AirwayTree:
-    """Return a tree with the names of its reduced tree: joined pieces share a name, drawn branches have none.
+    """Return a tree with the names of its reduced tree: joined pieces share a name, hand-drawn ones have none.
 
     Names given by the user stay.
 

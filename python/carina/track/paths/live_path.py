@@ -21,7 +21,7 @@ WALL_REACH_MM = 2.0
 # Rises that count as no wall and as a certain wall, in standard deviations of the noise: the brightest of some noise
 # samples is about 2 above the mean.
 NOTHING_SIGMA, CERTAIN_SIGMA = 2.0, 6.0
-# Least rise in HU that counts as evidence of a wall, in CTs with little noise.
+# Minimum rise in HU that counts as evidence of a wall, in CTs with little noise.
 MIN_CONTRAST_HU = 60.0
 # A lumen below the first width (voxels) may be noise; from the second width on it is completely visible.
 FEW_VOXELS, ENOUGH_VOXELS = 0.5, 3.0
@@ -37,7 +37,7 @@ Point = tuple[float, float, float]
 
 
 class LumenPaths(Protocol):
-    """Interface of a tracker that live paths need (:class:`carina.track.PathTracker`)."""
+    """Interface of a path tracker for live paths (:class:`carina.track.PathTracker`)."""
 
     @property
     def core(self) -> LumenTracker:
@@ -63,7 +63,7 @@ class LumenPaths(Protocol):
         ...
 
     def new_share(self, node: int) -> tuple[float, int | None]:
-        """Return the share of the path to a node that is outside the tree, and the branch where this part starts."""
+        """Return the length share of a path outside the tree, and the branch where this part starts."""
         ...
 
 

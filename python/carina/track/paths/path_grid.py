@@ -20,11 +20,11 @@ PART_MM = 1.0
 THICK = 1.5
 """Ratio of a slice's thickness to the voxel width from which a slice counts as thick."""
 WIDEST_MM = 1.0
-"""Voxel width in mm above which thick slices are not divided."""
+"""Maximum voxel width in mm at which thick slices are divided."""
 MIN_SLICES = 4
 MAX_PARTS = 16
 MIN_PART_MM = 0.5
-"""Least thickness in mm of a part; a case file with thinner parts is damaged."""
+"""Minimum thickness in mm of a part of a slice; a case file with thinner parts is damaged."""
 
 
 class DividedSlices(NamedTuple):
@@ -212,7 +212,7 @@ class PathGrid:
 
 
 def _densified(points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the points of a line with four interpolated points between each pair."""
+    """Return the points of a line with four interpolated points added between each pair."""
     if len(points) < 2:
         return points
     shares = np.arange(5)[:, None, None] / 5.0

@@ -31,7 +31,7 @@ class CoreRecipe:
 def found_core(
     volume: Volume, lumen_zyx: NDArray[np.uint8], root_ijk: tuple[int, int, int], levels: Levels
 ) -> LumenTracker:
-    """Return the compiled tracker with all paths solved in the order of a search."""
+    """Return the compiled tracker of a lumen with all paths in the order in which a search computes them."""
     core = _unsolved(volume, lumen_zyx, root_ijk, levels)
     core.solve_all()
     return core
@@ -40,7 +40,7 @@ def found_core(
 def edited_core(
     volume: Volume, lumen_zyx: NDArray[np.uint8], root_ijk: tuple[int, int, int], levels: Levels
 ) -> LumenTracker:
-    """Return the compiled tracker with all paths solved in the order of edits: the first of equally cheap paths."""
+    """Return the compiled tracker of a lumen with all paths in the order of edits: the first of equally cheap paths."""
     return reroot_lumen(_unsolved(volume, lumen_zyx, root_ijk, levels), root_ijk)
 
 

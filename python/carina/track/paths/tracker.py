@@ -320,7 +320,7 @@ class PathTracker:
         return self._noise_hu
 
     def new_share(self, node: int) -> tuple[float, int | None]:
-        """Return the new share of the path to a settled node, and the branch from which the new part starts.
+        """Return the length share of a settled node's path outside the tree, and the branch where it starts.
 
         The share is the length outside the tree over the whole length. The branch is None if no part of the path is
         on the tree.
@@ -497,7 +497,7 @@ class PathTracker:
         return labels
 
     def _places_on_tree(self) -> NDArray[np.int32]:
-        """Return, for each node, the index of the branch whose centreline runs through or beside it; -1 elsewhere."""
+        """Return for each node the index of the branch whose centreline is in or beside its voxel, or -1."""
         on_tree = self._on_tree
         if on_tree is None:
             on_tree = np.full(self.core.num_nodes, -1, dtype=np.int32)

@@ -1,4 +1,4 @@
-"""Replacement of excursions, the parts of a relaxed path outside a known lumen, by ways through the lumen."""
+"""Replacement of excursions (parts of a relaxed path outside the lumen) by ways through the lumen."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class Excursion:
 
 
 def flyable_path(volume: Volume, airways: Airways | None, nodes_lps: Points) -> Points:
-    """Return the relaxed path of a search by the cost ``walls``, without needless excursions from the lumen.
+    """Return the relaxed path of a search by the cost ``walls``, with its avoidable excursions replaced.
 
     An excursion is replaced by the way through the lumen if that way is three voxels wide beside the excursion, or if
     the whole path becomes shorter. Other excursions remain, and so do paths without an excursion.
@@ -62,7 +62,7 @@ def flyable_path(volume: Volume, airways: Airways | None, nodes_lps: Points) -> 
 
 
 def replace_excursions(volume: Volume, airways: Airways, points: Points) -> Points:
-    """Return a relaxed path (n, 3) without needless excursions; the same array if no excursion is replaced."""
+    """Return a relaxed path (n, 3) whose avoidable excursions are replaced; the same array without any."""
     excursions = find_excursions(volume, airways, points)
     chain, may_leave = _shortest_chain(airways, points, excursions) if excursions else (points, None)
     return points if may_leave is None else relaxed_path(volume, airways, chain, may_leave=may_leave)

@@ -353,7 +353,7 @@ class _NodePath:
 
     @property
     def whole(self) -> Points:
-        """Positions (n, 3) of the nodes of the path and of its end, LPS in mm."""
+        """Positions (n, 3) of the path's nodes and of the target's voxel (``end``), LPS in mm."""
         return self.points if self.end is None else np.concatenate([self.points, self.end[None]])
 
 

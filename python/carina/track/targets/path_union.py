@@ -1,4 +1,4 @@
-"""Tree of several paths from one start whose points are not nodes of one graph."""
+"""Tree that unites several paths from one start whose points are not nodes of one graph."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ def tree_of_paths(paths: Sequence[Points], airways: Airways) -> tuple[tuple[Bran
 
 
 def _shared(path: Points, others: Points, airways: Airways) -> tuple[int, int]:
-    """Return the number of first points that a path shares with others, and the other point nearest to the last."""
+    """Return how many first points a path shares with others, and the others' point nearest to the last one."""
     squares = (path**2).sum(axis=1)[:, None] + (others**2).sum(axis=1)[None] - 2.0 * path @ others.T
     nearest = squares.argmin(axis=1)
     distance = np.linalg.norm(path - others[nearest], axis=1)

@@ -16,28 +16,29 @@ Points = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 REACH_MM = 12.0
-"""Largest radius in mm of the tube for relaxation at points where no lumen is known."""
+"""Maximum radius in mm of the tube for relaxation at points where no lumen is known."""
 RAY_STEP_MM = 0.5
 """Distance in mm between the samples of a ray, whose values are compared with the path's to find the tube's radius."""
 NUM_RAYS = 32
-"""Number of rays from each node that search the end of the medium (the material in which the path runs)."""
+"""Number of rays from each node along which the end of the medium (the material of the path, such as air) is
+searched."""
 MEDIUM_NODES = 5
-"""Number of nodes before and after a node whose values define the medium (air, contrast) that the path is in."""
+"""Number of nodes before and after a node whose values define the medium (air or contrast agent) of the path."""
 NOISE_FACTOR = 4.0
-"""Least difference between a ray's value and the medium at which the medium ends, as a multiple of the noise."""
+"""Minimum difference between a ray's value and the medium at which the medium ends, as a multiple of the noise."""
 RISE_SHARE = 0.3
-"""Least difference at which the medium ends, as a share of the largest difference on a ray (median of all rays)."""
+"""Minimum difference at which the medium ends, as a share of the largest difference on a ray (median of all rays)."""
 LUMEN_SHARE = 0.85
 """Radius of the tube in a known lumen, relative to the distance to the wall."""
 BESIDE_LUMEN_MM = 4.0
-"""Least radius of the tube outside a known lumen, mm; lumen that the search did not enter is excluded."""
+"""Minimum radius of the tube outside a known lumen, mm; the tube excludes lumen that the search did not enter."""
 MAX_ROUNDS = 200
-"""Largest number of rounds in which each point is moved to the middle of its neighbours."""
+"""Maximum number of rounds in which each point is moved to the middle of its neighbours."""
 ROUNDS_PER_CHECK = 10
 SETTLED_SHARE = 1e-4
 """Relative decrease of the length in `ROUNDS_PER_CHECK` rounds at which the relaxation ends."""
 CHECKED_SHARES = (0.25, 0.5, 0.75, 1.0)
-"""Positions between a neighbour and the moved point that must be in the tube, as shares of their distance."""
+"""Positions between a neighbour and the moved point at which the tube is checked, as shares of their distance."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -92,7 +93,7 @@ def relaxed_path(
 
 
 def _in_tube(points: Points, vertices: Points, tube: SearchTube) -> Points:
-    """Replace evenly spaced points of a polyline that are outside the tube by the nearest vertex along the polyline.
+    """Replace evenly spaced points of a polyline that are outside the tube by the nearest vertex along it.
 
     Between two vertices in the tube a segment may touch the corner of another voxel.
     """

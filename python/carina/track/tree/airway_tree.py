@@ -39,7 +39,7 @@ VERSION = 1
 KINDS = ("tracked", "bridge", "manual")
 TREE_HEIGHT_PX = 320
 MAX_ROWS = 12
-"""Number of rows above which the table of a tree in a notebook is shortened."""
+"""Maximum number of rows of a tree's table in a notebook; a longer table is shortened."""
 NAME_SOURCES = ("anatomy", "person")
 
 Points = NDArray[np.float64]
@@ -116,7 +116,7 @@ class Branch:
         return f"Branch({self.id}, {name}generation {self.generation}, {self.length_mm:.3g} mm long, {width})"
 
     def as_way(self) -> Way:
-        """Return the branch as a line of a drawing."""
+        """Return the branch as a polyline of a drawing of the tree."""
         colour = DRAWN_COLOUR if self.kind == "manual" else generation_colour(self.generation)
         title = f"{self.name or f'branch {self.id}'}, generation {self.generation}, {self.length_mm:.0f} mm"
         return Way(self.points, 2.0 * float(np.median(self.radius)), colour, title)

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from carina.track.tree.airway_tree import AirwayTree, Branch
 
 NEAR_MM = 3.0
-"""Largest distance of a point from a centreline, in addition to the branch's radius, at which it is in the branch."""
+"""Maximum distance in mm, beyond the branch's radius, of a point from the centreline of the branch that contains it."""
 
 
 def branch_at_point(tree: AirwayTree, point_lps: NDArray[np.float64]) -> tuple[Branch, int] | None:

@@ -6,7 +6,8 @@ from carina.track.tree.airway_tree import Branch
 from carina.track.tree.drawn_parts import kind_words
 
 UNCERTAIN_NAME = 0.6
-"""Confidence of a name below which "?" follows the name, as in the window's list (``web/src/state/branch-text.ts``)."""
+"""Minimum confidence of a name that is shown without "?", as in the window's list (``web/src/state/branch-
+text.ts``)."""
 
 
 def branch_label(branch: Branch) -> str:

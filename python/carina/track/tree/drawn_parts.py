@@ -15,7 +15,7 @@ from carina.track.tree.airway_tree import AirwayTree, Branch
 from carina.value import FrozenValue
 
 SHOWN_MM = 0.05
-"""Least length in mm of a drawn or bridged part that is stated; less is a rounding error."""
+"""Minimum length in mm of a drawn or bridged part that texts state; less is a rounding error."""
 
 
 class DrawnPart(FrozenValue, frozen=True):

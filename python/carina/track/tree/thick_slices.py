@@ -34,17 +34,17 @@ SHARES: dict[tuple[float, float | None], tuple[tuple[int, int, int], ...]] = {
     ),
 }
 JUDGED_MM = 2.0
-"""Inner diameter in mm from which airways (to 3 mm: segmental and subsegmental) decide whether slices are thick."""
+"""Minimum inner diameter in mm of the airways (up to 3 mm) whose share decides whether slices are thick."""
 THIN_SHARE = 0.95
-"""Least mean share of airways of 2 to 3 mm in thin slices; slices with a lower share count as thick."""
+"""Minimum mean share of airways of 2 to 3 mm that the search finds in thin slices; slices with less are thick."""
 PATIENT_FACTOR = 1.25
-"""Factor that converts the slice thickness of a patient's CT to that of painted CTs.
+"""Factor that converts the slice thickness of a patient's CT to that of painted CTs (of known anatomy).
 
 Slices of patients hide as much as painted slices that are thicker by this factor (four CTs, lists of readers).
 """
 STEP_PERCENT = 5
 WIDEST_PIXEL_MM = 0.8
-"""Largest pixel width in mm for which the least and mean shares are known.
+"""Maximum pixel width in mm for which the least and mean shares are known.
 
 The calibrated CTs have pixels of 0.46 to 0.7 mm. In wider pixels fewer airways are found, so the greatest shares are
 upper limits.
@@ -54,19 +54,19 @@ upper limits.
 @one_line
 @dataclass(frozen=True, slots=True)
 class CalibreShare:
-    """Share of the length of airways of one calibre that the search finds in CTs of one slice thickness."""
+    """Share of the length of airways of one calibre that the search finds in slices of one thickness."""
 
     from_mm: float
     """Smallest inner diameter of the airways, mm."""
     to_mm: float | None
     """Largest inner diameter of the airways, mm; None: no upper limit."""
     least: float
-    """Least share among the CTs that were measured: 0 to 1, a multiple of 0.05 like :attr:`typical` and :attr:`most`.
+    """Smallest share in a single measured CT: 0 to 1, a multiple of 0.05 like :attr:`typical` and :attr:`most`.
     """
     typical: float | None
-    """Mean share of these CTs; None if the pixels of the current CT are wider than theirs."""
+    """Mean share over the measured CTs; None if the pixels of the current CT are wider than theirs."""
     most: float
-    """Greatest share among the CTs that were measured."""
+    """Largest share in a single measured CT."""
 
     def to_json(self) -> dict[str, float | None]:
         """Return the share as JSON values."""
@@ -163,7 +163,7 @@ def shares_of(tree: AirwayTree, ct: Volume) -> CalibratedShares | None:
 
 
 def _share_of_diameter(shares: Sequence[CalibreShare], diameter_mm: float) -> CalibreShare:
-    """Return the share for airways of a diameter; below the smallest calibre it is the share of that calibre."""
+    """Return the share of airways of a diameter that the search finds; below the smallest calibre, that calibre's."""
     return next((share for share in shares if diameter_mm >= share.from_mm), shares[-1])
 
 

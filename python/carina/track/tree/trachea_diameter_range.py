@@ -15,13 +15,13 @@ UNCALIBRATED_SIZE = "track.size-not-calibrated"
 CALIBRATED_MM = (12.0, 27.0)
 """Range of diameters in mm of the trachea in the CTs on which confidence was calibrated (docs/decisions/0137)."""
 UNPROVEN = 0.5
-"""Lowest limit of confidence, for a trachea far outside the calibrated range of diameters."""
+"""Minimum of the confidence limit, for a trachea far outside the calibrated range of diameters."""
 # Share below or above the range over which the limit falls from 1 to UNPROVEN.
 FALL_SHARE = 0.15
 WIDE_PART = 75.0
 """Percentile of the radii along a branch that counts as its radius, so that a stenosis has no effect."""
 MAIN_OF_TRACHEA = 0.77
-"""Usual ratio of the main bronchi's root mean square diameter to the trachea's (34 phantoms: 0.73 to 0.80)."""
+"""Usual ratio of the main bronchi's root mean square diameter to the trachea's diameter."""
 
 
 def limit_at(trachea_mm: float) -> float:

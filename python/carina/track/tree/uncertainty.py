@@ -18,7 +18,7 @@ UncertaintyKind = Literal["lost", "blocked", "stump", "filled", "leak", "volume"
 Points = NDArray[np.float64]
 
 FAINT = 0.5
-"""Confidence below which a branch is more likely not an airway and is listed as uncertain."""
+"""Confidence below which a branch is probably no airway and is listed as uncertain."""
 # Calibration of wall scores: (score, share of branches with this score that are true airways), rising. Isotonic fit on
 # phantoms of the seeds 101 to 114, good and degraded, with strands beside the airways; verified on the seeds 201 to 214
 # (docs/decisions/0137; carina_bench.track_confidence).
@@ -37,7 +37,7 @@ WALL_WEIGHT = 0.2
 """Weight of the log odds of a branch's walls relative to the log odds of the path along the branch."""
 SUREST_WALLS, SUREST_WAY = 0.99, 0.995
 MAX_COMBINED = 0.94
-"""Limit of the confidence that combines path and walls, unless one of both alone is higher."""
+"""Maximum confidence from path and walls together, unless one of the two alone is higher."""
 # Walls are means of three sections and of neighbouring steps, so their noise grows more slowly than that of a voxel. Up
 # to this noise, on which AIRWAY_SHARE was fitted, the noise of a voxel is used.
 USUAL_NOISE_HU = 25.0
@@ -48,7 +48,7 @@ NOISE_POWER = 0.75
 SHARP_RIM_HU = 15.0
 # Median radius in voxels below which a branch counts as thin.
 THIN_VOXELS = 2.0
-# Largest confidence of a thin branch in a CT with dark rims beside edges.
+# Maximum confidence of a thin branch in a CT with dark rims beside edges.
 MAX_BESIDE_RIMS = 0.95
 # Length in mm of the end of a branch that is not judged, because it is the blind end of the lumen.
 BLUNT_MM = 2.0
@@ -75,7 +75,7 @@ class Uncertainty(AirwayPlace, frozen=True, kw_only=True):
     coarse; once for the whole tree.
     """
     width_mm: float
-    """Diameter in mm of the airway where it was last visible.
+    """Diameter in mm of the airway at the last point where it is visible.
 
     For ``fine``: the median of the ends that are this thin. For ``filled``: that of the circle with the area of the
     remaining air, 0 without air.
@@ -313,7 +313,7 @@ def _branch_confidence(
 
 
 def judged(volume: Volume, branch: Branch, noise: float) -> Branch:
-    """Return a branch with its confidence from its walls, see :func:`with_confidence`."""
+    """Return a branch with the confidence that its walls give, see :func:`with_confidence`."""
     share = np.interp(_wall_score(volume, branch, noise), *np.array(AIRWAY_SHARE).T)
     return dataclasses.replace(branch, confidence=round(float(share), 3))
 

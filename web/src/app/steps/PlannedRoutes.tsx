@@ -19,8 +19,8 @@ import { Pickers } from "../StartPage";
 import { CArmAngles } from "./CArmAngles";
 import { OUTCOME_MARKS } from "./outcome-marks";
 import { ReasonsAgainst } from "./ReasonsAgainst";
+import { RouteLymphNodeStations } from "./RouteLymphNodeStations";
 import { RoutePairs } from "./RoutePairs";
-import { RouteStations } from "./RouteStations";
 import { SendToPacs } from "./SendToPacs";
 
 /** Render the planned routes of a target, with verdicts and exports. */
@@ -64,7 +64,7 @@ export function PlannedRoutes({ target, plan }: { target: Target; plan: TargetPl
           <Verdicts plans={plans} planned={plan.options.scope} />
           <Turns plans={plans} />
           <CArmAngles plans={plans} />
-          <RouteStations plan={plan} note={plans.station_note} />
+          <RouteLymphNodeStations plan={plan} note={plans.station_note} />
           <Exports target={target} />
         </>
       )}

@@ -41,9 +41,9 @@ const BUTTON_ACTIONS: ReadonlyMap<number, Action> = new Map([
   [14, "way_left"],
   [15, "way_right"],
 ]);
-/** Index of the trigger that withdraws the tip. */
+/** Index, in the browser's standard mapping, of the trigger that withdraws the tip. */
 const WITHDRAW = 6;
-/** Index of the trigger that advances the tip. */
+/** Index, in the browser's standard mapping, of the trigger that advances the tip. */
 const ADVANCE = 7;
 
 /**
@@ -68,7 +68,7 @@ export function padAxes(pad: Pad): SixAxes {
   return [forward + 0, 0, 0, stick(2) + 0, -stick(3) + 0, stick(0) + 0];
 }
 
-/** All connected gamepads, with their last sent states. */
+/** All connected gamepads, with the button and stick states that were sent last. */
 export class Gamepads {
   readonly #hooks: PadHooks;
   readonly #moving = new Set<number>();

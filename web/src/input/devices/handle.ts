@@ -36,7 +36,7 @@ export class Handle extends FieldReader {
   #wraps = 0;
   numBad = 0;
 
-  /** `bad` is called once, at the first report that does not match the descriptor. */
+  /** Create the reader; `bad` is called once, at the first report that does not match the descriptor. */
   constructor(device: HidDevice, send: (message: ClientMessage) => void, nowS: () => number, bad: () => void) {
     super("scope handle", device);
     this.#send = send;

@@ -3,7 +3,7 @@
 import { fieldsOf, type HidField } from "./hid";
 import type { HidDevice, HidReader, InputReport } from "./hid-port";
 
-/** Largest number of characters of a device's name. */
+/** Maximum number of characters of a device's name. */
 const NAME_LENGTH = 200;
 
 /** Reader that decodes the reports of a HID device into fields; a subclass interprets the fields. */

@@ -106,19 +106,19 @@ export async function headsetOffer(xr: Xr | null): Promise<HeadsetOffer> {
 
 /** Index of the trigger among the buttons, in WebXR's "xr-standard" mapping. */
 const TRIGGER = 0;
-/** Index of the grip button in the same mapping. */
+/** Index of the grip button, in WebXR's "xr-standard" mapping. */
 const SQUEEZE = 1;
-/** Index of the lower button in the same mapping. */
+/** Index of the lower button, in WebXR's "xr-standard" mapping. */
 const LOWER = 4;
-/** Index of the upper button in the same mapping. */
+/** Index of the upper button, in WebXR's "xr-standard" mapping. */
 const UPPER = 5;
-/** Index of the vertical axis of the stick, among the axes of the same mapping. */
+/** Index of the stick's vertical axis, in WebXR's "xr-standard" mapping. */
 const STICK_Y = 3;
-/** Value of a trigger or button, 0 to 1, above which it counts as held. */
+/** Minimum value of a trigger or button, 0 to 1, that counts as held. */
 const HELD = 0.5;
-/** Millimetres per metre, because WebXR uses metres. */
+/** Millimetres per metre; WebXR gives lengths in metres. */
 const MM_PER_M = 1000;
-/** Bit of the clutch in the buttons of a sample. */
+/** Bit of a sample's buttons that states whether the clutch is held (the tip then follows the hand). */
 const CLUTCH_BIT = 2;
 
 /**

@@ -14,23 +14,23 @@ use carina_scope::WallField;
 use crate::ForceError;
 use crate::vector::{Point, along, distance, sub};
 
-/// Largest force on the hand, N.
+/// Maximum force on the hand, N.
 pub const LIMIT_N: f64 = 3.0;
-/// Largest change of the force in a millisecond, N.
+/// Maximum change of the force in a millisecond, N.
 pub const SLEW_N_PER_MS: f64 = 0.1;
-/// Largest stiffness of the wall, N per mm, that is stable with a device of at least 50 g.
+/// Maximum stiffness of the wall, N per mm, that is stable with a device of at least 50 g.
 ///
 /// The damping must be at least 2 N s/m (`law_tests.rs`).
 pub const MAX_STIFFNESS_N_PER_MM: f64 = 0.6;
-/// Largest force of guidance towards the path, N, so that a hand can leave the path.
+/// Maximum force of guidance towards the path, N, so that a hand can leave the path.
 const GUIDANCE_LIMIT_N: f64 = 1.0;
-/// Largest torque about the grip, N mm.
+/// Maximum torque about the grip, N mm.
 const TORQUE_LIMIT_N_MM: f64 = 60.0;
-/// Largest change of the torque in a millisecond, N mm.
+/// Maximum change of the torque in a millisecond, N mm.
 const TORQUE_SLEW_N_MM_PER_MS: f64 = 2.0;
-/// Largest step of the proxy towards the hand, mm.
+/// Maximum step of the proxy towards the hand, mm.
 const PROXY_STEP_MM: f64 = 0.4;
-/// Largest number of steps of the proxy in one tick.
+/// Maximum number of steps of the proxy in one tick.
 const PROXY_STEPS: usize = 12;
 
 /// Parameters of the force law.

@@ -76,7 +76,7 @@ impl Histogram {
 
 /// Times of one tick that the statistics need.
 pub(crate) struct TickTimes {
-    /// Number of ticks that were due by the end of this one, including this one.
+    /// Number of ticks, this one included, that were due before this tick ended.
     pub(crate) num_due: u64,
     pub(crate) late_us: f64,
     pub(crate) work_us: f64,

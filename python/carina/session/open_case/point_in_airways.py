@@ -1,4 +1,4 @@
-"""Tests whether a point is inside the airways."""
+"""Test whether a point is inside the lumen of the airways."""
 
 from __future__ import annotations
 

@@ -8,7 +8,7 @@ import { NOT_PLAYING, type Playing } from "../state/playing";
 import type { ClientMessage, KeyFramesMessage, PoseMessage } from "../wire/messages";
 import { MAX_TICK_S } from "./steering";
 
-/** Distance in time, s, below which a slider position counts as a key frame or as the end of the flight. */
+/** Maximum time difference, s, between a slider position and a key frame, or the flight's end, that count as equal. */
 const AT_END_S = 0.02;
 
 /** Functions of the flight that a {@link KeyPlayer} plays. */
@@ -21,12 +21,12 @@ export interface PlayerHooks {
   fly(timeS: number, continues: boolean): boolean;
   /** Return the time of a pose in this flight, s; null if another input moved the tip. */
   timeOf(pose: PoseMessage): number | null;
-  /** Whether the playback clock waits for the first answer of the server, which may have to load the flight. */
+  /** Whether playback starts only after the server's first answer, because the server may have to load the flight. */
   readonly waits: boolean;
   changed(playing: Playing): void;
 }
 
-/** Return the functions that play the flight through the key frames. */
+/** Return the functions with which a {@link KeyPlayer} plays the flight through the key frames. */
 export function keyFrameHooks(
   keyFrames: () => KeyFramesMessage | null,
   send: (message: ClientMessage) => boolean,

@@ -11,8 +11,8 @@ from collections import Counter
 import numpy as np
 import pytest
 from corpus import Input
-from honest_inputs import KINDS, OTHERWISE_READ, REPORTED
 from other_readers import DICOM_ONLY, NO_READER, READERS, compared, missing_program
+from unusual_valid_inputs import KINDS, OTHERWISE_READ, REPORTED
 
 from carina.volume import open_volume
 

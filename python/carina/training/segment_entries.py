@@ -1,4 +1,4 @@
-"""Entries of the tip into segments.
+"""Detection of the times at which the tip of the scope enters a segment.
 
 docs/training.md defines *inside*, *entered* and *left*; the durations are definitions of Carina, not pass marks.
 """

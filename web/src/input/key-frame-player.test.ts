@@ -1,7 +1,7 @@
 import { describe, expect, it } from "vitest";
 import { NOT_PLAYING, type Playing } from "../state/playing";
 import type { ClientMessage, KeyFramesMessage, PoseMessage } from "../wire/messages";
-import { KeyPlayer, keyFrameHooks } from "./key-player";
+import { KeyPlayer, keyFrameHooks } from "./key-frame-player";
 
 const KEYS: KeyFramesMessage = {
   type: "key_frames",

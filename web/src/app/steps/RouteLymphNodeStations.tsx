@@ -11,7 +11,7 @@ import { giveKeysBack, Tip } from "../controls";
 import { Icon } from "../icons";
 
 /** Render the stations that the selected route passes or that are next to its target. */
-export function RouteStations({ plan, note }: { plan: TargetPlan; note: string }) {
+export function RouteLymphNodeStations({ plan, note }: { plan: TargetPlan; note: string }) {
   return (
     <details className="turns" data-testid="route-stations" open>
       <summary>Lymph node stations (EBUS)</summary>
