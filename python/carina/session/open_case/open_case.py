@@ -32,7 +32,7 @@ from carina.session.engines import Parts, RendererFactory
 from carina.session.jobs.background_jobs import JobRunner
 from carina.session.open_case.key_frame_flight import KeyFlight, key_flight
 from carina.session.open_case.live_breathing import LiveBreathing
-from carina.session.open_case.point_tests import in_lumen
+from carina.session.open_case.point_in_airways import in_lumen
 from carina.session.open_case.start_pose import pose_before_airways
 from carina.session.scene.window_views import Sights
 from carina.session.state.grey_scale import HISTOGRAM_PRESET, grey_scale
