@@ -178,7 +178,8 @@ def _tile(rows: int) -> int:
 
 def _most_of_tile(slice_mm: float) -> float:
     """Return the largest excess in HU of a tile of an undamaged slice."""
-    return 100.0 * max(slice_mm / 2.0, 1.0) ** 1.5
+    scale: float = max(slice_mm / 2.0, 1.0) ** 1.5
+    return 100.0 * scale
 
 
 def is_odd(
