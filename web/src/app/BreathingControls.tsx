@@ -32,7 +32,7 @@ export function BreathingControls() {
     <div className="breathing" data-testid="breathing">
       <div className="row">
         <SwitchKey
-          label="Breathing"
+          label="Simulate breathing"
           words={
             breathing.on
               ? "Stop the simulated breathing"
@@ -118,7 +118,7 @@ export function BreathingMenu() {
     <DialogTrigger onOpenChange={keysBack.onOpenChange}>
       <Tip words={words}>
         <Button
-          className="button icon toggle"
+          className="button icon toggle label-if-wide"
           data-selected={on ? "true" : undefined}
           aria-label={words}
           onPressStart={keysBack.onPressStart}
