@@ -8,6 +8,7 @@ import random
 
 import pytest
 
+from carina.render import LEAD_VIEW
 from carina.server.frames.budget import AIRWAY_LEVELS, FINDER_BELOW_PER_S
 from carina.server.frames.pacing import FULL, LONG_S, LOST_AFTER_S, STILL_AFTER_S, FrameScheduler
 from simulated_stream import AIRWAY, ALL_VIEWS, Machine, Simulation, airway, num_changes, num_coarser, rate_hz
@@ -499,3 +500,51 @@ def test_only_a_slow_full_picture_is_cancelled_for_another_view():
     for player, should_cancel in ((quick, False), (slow, True)):
         order = under_way(player, {"airway": 1, "axial": 1})
         assert player.scheduler.should_cancel(order, {"airway": 1, "axial": 2}, player.now_s) == should_cancel
+
+
+# ------------------------------------------------------------ simulated breathing
+
+
+@pytest.mark.parametrize("full_s", FULL_COSTS_S)
+def test_other_views_get_final_pictures_while_only_the_breathing_moves_the_airway_view(full_s):
+    player = Player(dict(ALL_VIEWS))
+    others = {view: f"{view} at rest" for view in ALL_VIEWS if view != LEAD_VIEW}
+    width, height = ALL_VIEWS[LEAD_VIEW]
+    per_pixel_s = full_s / (width * height)
+    final, num_airway = set(), 0
+    while player.now_s < 30.0:
+        keys = {**others, LEAD_VIEW: ("at rest", math.floor(30.0 * player.now_s))}
+        player.scheduler.observe(keys, player.now_s, at_rest="at rest")
+        order = player.scheduler.next_order(player.now_s)
+        if order is None:
+            player.now_s += 0.002
+            continue
+        seconds = per_pixel_s * order.width * order.height
+        player.now_s += seconds
+        later = {**others, LEAD_VIEW: ("at rest", math.floor(30.0 * player.now_s))}
+        if player.scheduler.should_cancel(order, later, player.now_s, at_rest="at rest"):
+            player.scheduler.record_cancelled(order, seconds)
+            continue
+        player.sent.append(order)
+        player.scheduler.rendered(order, len(player.sent), seconds, player.now_s)
+        player.scheduler.acknowledge(len(player.sent))
+        num_airway += order.view == LEAD_VIEW
+        if order.full and order.view != LEAD_VIEW:
+            final.add(order.view)
+    assert final == set(others)
+    assert num_airway > 20 * 10, "the airway view still shows the breathing"
+
+
+def test_picture_of_another_view_is_cancelled_by_a_movement_of_the_tip_but_not_by_the_breathing():
+    player = Player(dict(ALL_VIEWS))
+    others = {view: f"{view} at rest" for view in ALL_VIEWS if view != LEAD_VIEW}
+    player.scheduler.observe({**others, LEAD_VIEW: ("here", 1)}, player.now_s, at_rest="here")
+    player.now_s += 1.0
+    while (order := player.scheduler.next_order(player.now_s)).view == LEAD_VIEW:
+        player.sent.append(order)
+        player.scheduler.rendered(order, len(player.sent), 0.01, player.now_s)
+        player.scheduler.acknowledge(len(player.sent))
+    breathed = {**others, LEAD_VIEW: ("here", 2)}
+    moved = {**others, LEAD_VIEW: ("there", 2)}
+    assert not player.scheduler.should_cancel(order, breathed, player.now_s, at_rest="here")
+    assert player.scheduler.should_cancel(order, moved, player.now_s, at_rest="there")

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import re
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from cached_test_data import cached_phantom
 from carina.errors import UsageError
-from carina.track import assess_ct
-from carina.volume import Volume
+from carina.track import assess_ct, ct_assessment
+from carina.volume import Volume, quality
 from carina_bench.track_gate import DEGRADATIONS, OPTIONS, named_codes
 
 SEED = 411
@@ -51,3 +54,15 @@ def test_volume_that_is_not_in_hu_is_refused():
     with pytest.raises(UsageError) as caught:
         assess_ct(Volume(np.zeros((4, 4, 4), np.int16), np.eye(4), is_hu=False, not_hu_reason="a mask"))
     assert caught.value.code == "usage.not-hu"
+
+
+def test_every_finding_of_the_quality_gate_belongs_to_a_property_of_the_statement():
+    source = Path(quality.__file__).read_text()
+    codes = set(re.findall(r'Finding\(\s*"([a-z-]+)"', source)) - {"not-hu", "mask"}  # only a CT in HU is assessed
+    assert codes <= {code for part in ct_assessment._CODES.values() for code in part}
+
+
+def test_motion_is_not_measurable_in_a_ct_without_lungs():
+    tissue = Volume(np.full((20, 40, 40), 40, dtype=np.int16), np.diag([2.0, 2.0, 2.0, 1.0]))
+    (motion,) = [one for one in assess_ct(tissue).statement if one.name == "motion"]
+    assert motion.words.startswith("not measurable")

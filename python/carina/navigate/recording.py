@@ -142,7 +142,7 @@ class Recorder:
         """Record a change of the airway view; an unchanged view is not recorded."""
         if view != self._view:
             self._view = view
-            self._write({"t": self._time(now_s), "view": view})
+            self._write({"t": self._time(self._recorded_s(now_s)), "view": view})
 
     def note_breathing(self, motion: ChestMotion | None, now_s: float) -> None:
         """Record a change of the simulated breathing, on the clock of the moves; None ends it.
@@ -153,7 +153,11 @@ class Recorder:
         breathing = None if motion is None else replace(motion, began_s=began_s).to_json()
         if breathing != self._breathing:
             self._breathing = breathing
-            self._write({"t": self._time(now_s), "breathing": breathing})
+            self._write({"t": self._time(self._recorded_s(now_s)), "breathing": breathing})
+
+    def _recorded_s(self, now_s: float) -> float:
+        """Return the time of a record: a change during a pause has the time at which the pause began."""
+        return now_s if self._paused_s is None else self._at_s
 
     def note_task(self, task: dict[str, Any], now_s: float, learner: str | None = None) -> None:
         """Record the beginning of an attempt at a task of the training.

@@ -68,10 +68,11 @@ def flight_list(case: OpenCase, saving: SavingInfo) -> tuple[FlightInfo, ...]:
 
 def breathing_info(case: OpenCase) -> BreathingInfo:
     """Return the settings of the simulated breathing; the caller holds the session's lock."""
-    airways, breathing = case.document.airways, case.flights.breathing.breathing
-    if breathing is None or airways is None or case.flights.breathing.motion(airways.tree) is None:
+    live, airways = case.flights.breathing, case.document.airways
+    if live.last is None:
         return BreathingInfo()
-    return BreathingInfo(True, breathing.craniocaudal_mm, breathing.period_s)
+    is_on = airways is not None and live.motion(airways.tree) is not None
+    return BreathingInfo(is_on, live.last.craniocaudal_mm, live.last.period_s)
 
 
 Event = Changed | ChestMoved | ErrorEvent | EvidenceMissing | UserMessage | StartMarked | JobProgress | JobEnded

@@ -15,7 +15,7 @@ from carina.display import one_line
 from carina.errors import UsageError, check_type
 from carina.track.find.artefact_regions import METAL
 from carina.track.find.axis_order import CanonicalOrder
-from carina.track.find.breathing_step import find_steps
+from carina.track.find.breathing_step import similarity_drops, steps_of
 from carina.track.find.chest_size import usual_trachea_mm
 from carina.track.find.kernel_sharpness import edge_undershoot_hu
 from carina.track.find.metal_streaks import find_streaks
@@ -38,7 +38,7 @@ _CODES: dict[PropertyName, tuple[str, ...]] = {
     "kernel": ("kernel",),
     "noise": ("noise",),
     "slices": ("spacing", "uneven"),
-    "coverage": ("cut", "no-lungs"),
+    "coverage": ("cut", "no-lungs", "padding"),
     "motion": ("motion",),
     "inspiration": ("expiration",),
     "contrast": ("contrast",),
@@ -79,6 +79,8 @@ class CtAssessment:
     """Darkening of lung beside tissue by the kernel; None if it is not measurable."""
     statement: tuple[CtProperty, ...] = ()
     """Every property in words, also those that limit nothing; all outputs repeat this statement."""
+    compared_pairs: tuple[int, int] = (0, 0)
+    """Number of pairs of neighbouring slices that were compared for a movement of the chest, and number of all."""
 
     @property
     def trusted_generation(self) -> int:
@@ -157,7 +159,8 @@ def _assess(volume: Volume) -> CtAssessment:
     quality = quality_gate(volume)
     undershoot_hu = edge_undershoot_hu(ct, scale)
     streaks = find_streaks(ct, scale)
-    steps = find_steps(ct, scale, None if streaks is None else np.asarray(streaks.any(axis=(1, 2))))
+    drops = similarity_drops(ct, scale, None if streaks is None else np.asarray(streaks.any(axis=(1, 2))))
+    steps = steps_of(drops)
     findings = list(quality.findings)
     if undershoot_hu is not None and undershoot_hu > SHARP_HU:
         words = f"the kernel is sharp: lung beside vessels is {undershoot_hu:.0f} HU too dark and looks like airways"
@@ -167,7 +170,8 @@ def _assess(volume: Volume) -> CtAssessment:
         findings.append(Finding("motion", f"the chest moved after slice {numbers}, counted from the feet"))
     if streaks is not None:
         findings.append(Finding("metal", "metal causes streaks that look like airways"))
-    found = CtAssessment(tuple(findings), quality, undershoot_hu)
+    pairs = int(np.isfinite(drops).sum()), len(drops)
+    found = CtAssessment(tuple(findings), quality, undershoot_hu, compared_pairs=pairs)
     return dataclasses.replace(found, statement=_statement(found, volume, None))
 
 
@@ -204,12 +208,16 @@ def _statement(found: CtAssessment, volume: Volume, airways: Airways | None) -> 
         "slices": f"{apart:.2f} mm apart, pixels of {across:.2f} mm"
         + ("" if thick_mm is None else f", {thick_mm:g} mm thick"),
         "coverage": "the lungs are complete, down to the diaphragm" if has_lungs else "no lungs found",
-        "motion": "no movement of the chest between two slices",
+        "motion": _motion_words(*found.compared_pairs),
         "inspiration": "not measurable without lungs"
         if lung_hu is None
         else f"lungs of {quality.lung_litres or 0.0:.1f} litres with a mean of {lung_hu:.0f} HU",
         "contrast": "none in the heart and the large vessels" if has_lungs else "not measurable without lungs",
-        "tube": after if airways is None else "none in the trachea",
+        "tube": after
+        if airways is None
+        else "not examined: the airways come from a file"
+        if airways.wall_levels is None
+        else "none in the trachea",
         "metal": "no streaks of metal",
         "patient size": "not measurable without lungs"
         if quality.body_mm is None
@@ -221,8 +229,18 @@ def _statement(found: CtAssessment, volume: Volume, airways: Airways | None) -> 
         shown = "; ".join(named) or words
         if name == "coverage":
             shown = f"{f'cricoid {after}' if airways is None else _top_words(volume, airways)}; {shown}"
-        rows.append(CtProperty(name, shown, bool(named)))
+        # Padding is stated, but does not limit the search.
+        rows.append(CtProperty(name, shown, bool(set(_CODES[name]) & codes.keys() - {"padding"})))
     return tuple(rows)
+
+
+def _motion_words(num: int, num_all: int) -> str:
+    """Return the statement about movements of the chest where none was found."""
+    if num == 0:
+        return "not measurable: no two neighbouring slices can be compared"
+    if 2 * num < num_all:
+        return f"no movement of the chest in the {num} of {num_all} pairs of slices that can be compared"
+    return "no movement of the chest between two slices"
 
 
 def _top_words(volume: Volume, airways: Airways) -> str:

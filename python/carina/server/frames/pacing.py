@@ -123,6 +123,10 @@ class FrameScheduler:
         self._turn: list[str] = []
         self._due_s = -math.inf
         """Earliest start of the next airway picture while moving, in seconds of the clock."""
+        self._at_rest: Hashable = None
+        """Key of the airway view without a simulated breathing."""
+        self._moved_s = -math.inf
+        """Time in seconds of the clock of the last change of the airway view other than by breathing."""
         self._airway_s = 0.0
         """Render time in seconds of the last moving airway picture."""
 
@@ -148,8 +152,15 @@ class FrameScheduler:
         self._turn = [name for name in self._turn if name in self._views]
         self._turn += [name for name in self._views if name not in self._turn]
 
-    def observe(self, keys: Mapping[str, Hashable], now_s: float) -> None:
-        """Record the content key of each visible view; equal keys mean equal pictures, None means no picture."""
+    def observe(self, keys: Mapping[str, Hashable], now_s: float, *, at_rest: Hashable = None) -> None:
+        """Record the content key of each visible view; equal keys mean equal pictures, None means no picture.
+
+        ``at_rest`` is the key of the airway view without a simulated breathing; None without a breathing. A breathing
+        moves only the airway view and does not end, so the other views do not wait for its end.
+        """
+        at_rest = keys.get(LEAD_VIEW) if at_rest is None else at_rest
+        if at_rest != self._at_rest:
+            self._at_rest, self._moved_s = at_rest, now_s
         for name, view in self._views.items():
             key = keys.get(name)
             if key != view.seen_key:
@@ -196,7 +207,9 @@ class FrameScheduler:
         if name == LEAD_VIEW:
             return max(self._due_s, now_s)
         expected_s = self._expected_s(name, now_s)
-        if self._views[name].grade(now_s) > MOVING and expected_s > OVER * self._other_budget_s(now_s):
+        only_breathes = now_s >= self._moved_s + STILL_AFTER_S
+        is_long = expected_s > OVER * self._other_budget_s(now_s)
+        if self._views[name].grade(now_s) > MOVING and is_long and not only_breathes:
             # A picture this long would be cancelled by every further movement.
             return airway.still_s
         waits_s = self._due_s - now_s if self._is_due(LEAD_VIEW, now_s) else 0.0
@@ -251,15 +264,21 @@ class FrameScheduler:
         for view in self._views.values():
             view.in_flight.pop(frame_id, None)
 
-    def should_cancel(self, order: RenderOrder, keys: Mapping[str, Hashable], now_s: float) -> bool:
-        """Return whether the picture in progress should be cancelled, given the current content keys of the views."""
+    def should_cancel(
+        self, order: RenderOrder, keys: Mapping[str, Hashable], now_s: float, *, at_rest: Hashable = None
+    ) -> bool:
+        """Return whether the picture in progress should be cancelled, given the current content keys of the views.
+
+        ``at_rest`` is the same as in :meth:`observe`.
+        """
         if order.grade <= MOVING:
             # Moving pictures are never cancelled: during a continuous movement none would be finished.
             return False
-        if keys.get(order.view) != order.key or keys.get(LEAD_VIEW) != self._observed_key(LEAD_VIEW):
+        has_moved = (keys.get(LEAD_VIEW) if at_rest is None else at_rest) != self._at_rest
+        if keys.get(order.view) != order.key or has_moved:
             return True
         # A long picture is also cancelled by a change in another view.
-        others_wait = any(keys.get(name) != view.seen_key for name, view in self._views.items())
+        others_wait = any(keys.get(name) != view.seen_key for name, view in self._views.items() if name != LEAD_VIEW)
         return others_wait and now_s - order.begun_s + self._expected_s(order.view, now_s) > LONG_S
 
     @property
@@ -275,10 +294,6 @@ class FrameScheduler:
     def num_in_flight(self, view: str) -> int:
         """Return the number of pictures of a view that were sent and not acknowledged."""
         return len(self._views[view].in_flight) if view in self._views else 0
-
-    def _observed_key(self, name: str) -> Hashable:
-        view = self._views.get(name)
-        return None if view is None else view.seen_key
 
     def _has_room(self, name: str, now_s: float) -> bool:
         in_flight = self._views[name].in_flight

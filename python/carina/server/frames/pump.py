@@ -200,7 +200,8 @@ class FramePump:
             return True
         now_s = self._clock()
         with self._lock:
-            return self._scheduler.should_cancel(order, _content_keys(scene, self._scheduler), now_s)
+            keys = _content_keys(scene, self._scheduler)
+            return self._scheduler.should_cancel(order, keys, now_s, at_rest=scene.key_at_rest())
 
     def stop(self) -> None:
         """End :meth:`run` when the picture in progress is rendered."""
@@ -238,7 +239,7 @@ class FramePump:
         began_s = self._clock()
         stop = CancelToken()
         with self._lock:
-            self._scheduler.observe(_content_keys(scene, self._scheduler), began_s)
+            self._scheduler.observe(_content_keys(scene, self._scheduler), began_s, at_rest=scene.key_at_rest())
             order = self._scheduler.next_order(began_s)
             self._under_way = None if order is None else (order, stop)
         if order is None:

@@ -10,11 +10,9 @@ from carina.breathing import Breathing, ChestFrame
 from carina.errors import NoResultError, UsageError
 from carina.session.command_registry import CommandHandlers, does
 from carina.session.core import SessionCore
+from carina.session.open_case.live_breathing import TICK_S
 from carina.session.open_case.open_case import OpenCase
 from carina.session.state.snapshot import ChestMoved
-
-TICK_S = 1.0 / 30.0
-"""Time between two reports that the chest has moved, s: a breath of 12 mm moves it by less than 0.5 mm meanwhile."""
 
 
 class BreathingHandlers(CommandHandlers):

@@ -9,6 +9,8 @@ from carina.errors import GeometryError
 from carina.session.derived.derived_value import Cached
 from carina.track import AirwayTree
 
+TICK_S = 1.0 / 30.0
+"""Time between two positions of the chest, s: a breath of 12 mm moves it by less than 0.5 mm meanwhile."""
 MAX_COUGHS = 1000
 """Largest number of coughs that are stored; older ones, which are over, are removed."""
 
@@ -29,6 +31,8 @@ class LiveBreathing:
 
     breathing: Breathing | None = None
     """The breathing with its coughs on its own clock; None if it is off."""
+    last: Breathing | None = None
+    """The last breathing that was on, whose settings a window offers while the breathing is off."""
     began_s: float = 0.0
     """Time of the session's clock at time 0 of the breathing."""
     _paused_s: float | None = None
@@ -36,9 +40,9 @@ class LiveBreathing:
 
     def begin(self, breathing: Breathing | None, now_s: float) -> None:
         """Breathe from rest, or end the breathing with None."""
-        self.breathing, self.began_s = breathing, now_s
-        if self._paused_s is not None:
-            self._paused_s = now_s
+        # During a pause the breathing begins on the paused clock, as recording and attempt store it.
+        self.breathing, self.began_s = breathing, self.clock_s(now_s)
+        self.last = breathing or self.last
 
     def restart(self, now_s: float) -> None:
         """Begin the same breathing again from rest, without its coughs."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field, replace
@@ -31,7 +32,7 @@ from carina.session.derived.render_content import ShownContent
 from carina.session.engines import Parts, RendererFactory
 from carina.session.jobs.background_jobs import JobRunner
 from carina.session.open_case.key_frame_flight import KeyFlight, key_flight
-from carina.session.open_case.live_breathing import LiveBreathing
+from carina.session.open_case.live_breathing import TICK_S, LiveBreathing
 from carina.session.open_case.point_in_airways import in_lumen
 from carina.session.open_case.start_pose import pose_before_airways
 from carina.session.scene.window_views import Sights
@@ -405,7 +406,10 @@ def shown_deformation(case: OpenCase, now_s: float) -> ChestDeformation | None:
         return flown.deformation_at(flight.time_s)
     airways = case.document.airways
     motion = None if airways is None else case.flights.breathing.motion(airways.tree)
-    return None if motion is None else motion.at(case.flights.breathing.clock_s(now_s))
+    if motion is None:
+        return None
+    # In steps, because every new deformation is a new picture.
+    return motion.at(math.floor(case.flights.breathing.clock_s(now_s) / TICK_S) * TICK_S)
 
 
 def _scope_state(case: OpenCase, now_s: float) -> ScopeState | None:

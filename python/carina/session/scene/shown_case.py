@@ -109,6 +109,10 @@ class ShownCase:
             *row.depends_on(self._settings(row)),
         )
 
+    def key_at_rest(self) -> Hashable:
+        """Return the key of the airway view without the simulated breathing; None if no breathing is simulated."""
+        return None if self.deformation is None else replace(self, deformation=None).key(render.LEAD_VIEW)
+
     def breathes(self, view: str) -> bool:
         """Return whether a view shows a simulated breathing."""
         return self.deformation is not None and view == render.LEAD_VIEW

@@ -43,7 +43,12 @@ def find_steps(volume: Volume, scale: AirScale, is_changed: NDArray[np.bool_] | 
     is_changed
         (nz,) True for slices that streaks change; these slices are not compared.
     """
-    drops = _similarity_drops(volume, scale, is_changed)
+    return steps_of(similarity_drops(volume, scale, is_changed))
+
+
+def steps_of(drops: Floats) -> tuple[int, ...]:
+    """Return the slices k after which the chest has moved, from the result of :func:`similarity_drops`."""
+    drops = np.nan_to_num(drops, nan=0.0)
     order = np.argsort(-drops, kind="stable")
     if len(order) <= MAX_STEPS:
         return ()
@@ -52,8 +57,11 @@ def find_steps(volume: Volume, scale: AirScale, is_changed: NDArray[np.bool_] | 
     return tuple(sorted(found))
 
 
-def _similarity_drops(volume: Volume, scale: AirScale, is_changed: NDArray[np.bool_] | None) -> Floats:
-    """Return for each pair of neighbouring slices its similarity below that of the pairs before and after it."""
+def similarity_drops(volume: Volume, scale: AirScale, is_changed: NDArray[np.bool_] | None) -> Floats:
+    """Return for each pair of neighbouring slices its similarity below that of the pairs before and after it.
+
+    The value is NaN for a pair that cannot be compared: with too little lung, with streaks, or near the ends.
+    """
     dx, dy, _ = volume.spacing_mm
     size = (max(round(BLOCK_MM / dy), 1), max(round(BLOCK_MM / dx), 1))
     block_mm2 = size[0] * size[1] * dx * dy
@@ -78,7 +86,7 @@ def _similarity_drops(volume: Volume, scale: AirScale, is_changed: NDArray[np.bo
     places = [n for n in range(2 * NUM_BESIDE + 1) if n != NUM_BESIDE]
     # The minimum is NaN if any neighbouring pair is not compared.
     beside = np.min([padded[n : n + num] for n in places], axis=0)
-    return np.asarray(np.nan_to_num(beside - alike, nan=0.0), np.float64)
+    return np.asarray(beside - alike, np.float64)
 
 
 def _block_means(plane: NDArray[np.int16], size: tuple[int, int]) -> NDArray[np.float32]:
