@@ -27,6 +27,7 @@ _CODINGS = {
 }
 """Coding of the pixels in each transfer syntax that the compiled module reads."""
 _MAX_INTERCEPT = 1 << 24
+_BATCH = 16  # slices that one call of the compiled module reads
 
 _Format = tuple[str, int, int, int, bool, int, tuple[PaddingRange, ...] | None]
 
@@ -93,19 +94,24 @@ def _read(
     stack: SliceStack, form: _Format, numbers: Sequence[int], values: NDArray[np.int16], watch: Watch
 ) -> list[int]:
     coding, bits_allocated, bits_stored, high_bit, signed, intercept, padding = form
-    report = watch.progress
-    found = _core.decode_dicom_slices(
-        [(stack.slices[number].path, stack.slices[number].pixels_at or 0, stack.levels[number]) for number in numbers],
-        values,
-        coding=coding,
-        bits_allocated=bits_allocated,
-        bits_stored=bits_stored,
-        high_bit=high_bit,
-        signed=signed,
-        intercept=intercept,
-        padding=None if padding is None else list(padding),
-        max_inflated=MAX_INFLATED_BYTES,
-        cancel=watch.cancel,
-        progress=None if report is None else lambda share: report("Reading the slices", share),
-    )
-    return [number for number, is_read in zip(numbers, found, strict=True) if is_read]
+    read: list[int] = []
+    # In batches: between two calls the threads draw the pictures of an open case, and Ctrl-C ends the reading.
+    for begin in range(0, len(numbers), _BATCH):
+        watch.step("Reading the slices", begin / len(numbers))
+        batch = numbers[begin : begin + _BATCH]
+        slices = [(stack.slices[number], stack.levels[number]) for number in batch]
+        found = _core.decode_dicom_slices(
+            [(header.path, header.pixels_at or 0, level) for header, level in slices],
+            values,
+            coding=coding,
+            bits_allocated=bits_allocated,
+            bits_stored=bits_stored,
+            high_bit=high_bit,
+            signed=signed,
+            intercept=intercept,
+            padding=None if padding is None else list(padding),
+            max_inflated=MAX_INFLATED_BYTES,
+            cancel=watch.cancel,
+        )
+        read += [number for number, is_read in zip(batch, found, strict=True) if is_read]
+    return read
