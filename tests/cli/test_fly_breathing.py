@@ -7,11 +7,11 @@ import json
 import numpy as np
 import pytest
 
-from carina.breathing import MOVED_TEXT, Breathing, ChestFrame
+from carina.breathing import MOVED_TEXT, Breathing, ChestFrame, ChestMotion
 from carina.cli.fly import parse_breathing
 from carina.display.dot_letters import with_text_lines
 from carina.errors import UsageError
-from carina.export.flight_film import ChestMotion, FrameOptions, distinct_images, frame_view
+from carina.export.flight_film import FrameOptions, distinct_images, frame_view
 from carina.navigate.recording import ReplayedPose
 from carina.scopes import Pose
 
@@ -84,7 +84,7 @@ def test_video_with_amplitude_0_equals_the_video_without_breathing_except_its_te
     [
         ("deep", None, "--breathing: expected quiet"),
         ("12", None, "--breathing: expected quiet"),
-        ("400,3", None, "craniocaudal_mm"),
+        ("400,3", None, "movement_mm"),
         ("12,0.1", None, "period_s"),
         ("quiet", "now", "--cough: expected times"),
     ],
