@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from dicom_writer import chest, packed, repack, series
 
+from carina import _core
 from carina.cli.info import report
 from carina.errors import VolumeImportError
 from carina.volume import inspect_path, open_volume
@@ -32,6 +33,8 @@ def _deny(monkeypatch, *names: str) -> None:
         return whole(path, *args, **kwargs)
 
     monkeypatch.setattr(Path, "open", refuse)
+    # The compiled reader opens files itself.
+    monkeypatch.setattr(_core, "scan_dicom_headers", lambda paths, **_: [None] * len(paths))
 
 
 def test_slice_files_without_read_permission_are_counted_and_named(tmp_path, monkeypatch):
@@ -63,6 +66,7 @@ def test_slice_file_on_a_broken_disk_is_counted_as_unreadable(tmp_path, monkeypa
         return Broken()
 
     monkeypatch.setattr(Path, "open", fail)
+    monkeypatch.setattr(_core, "scan_dicom_headers", lambda paths, **_: [None] * len(paths))  # opens files itself
     assert "IM019 (the disk reported an error" in open_volume(tmp_path).source.warnings[0]
 
 

@@ -154,9 +154,9 @@ def test_progress_of_an_import_increases_and_it_can_be_cancelled_at_every_step(w
     seen: list[tuple[str, float | None]] = []
     open_volume(folder, progress=lambda what, fraction: seen.append((what, fraction)))
     slices = [fraction for what, fraction in seen if what == "Reading the slices"]
-    assert len(slices) == SLICES + 1
+    assert len(slices) >= 2  # one report for each batch of slices
     assert slices == sorted(slices)
-    assert slices[-1] == 1.0
+    assert (slices[0], slices[-1]) == (0.0, 1.0)
     # Cancelling at each call in turn raises CancelledError and never gives an incomplete volume.
     for stop_at in range(len(seen)):
         checks = iter(range(len(seen) + 1))
