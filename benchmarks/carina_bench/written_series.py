@@ -83,7 +83,7 @@ def write_stack(
 
 def _add_scanner_tags(dataset: Dataset, index: int) -> None:
     """Add tags without influence on the volume, as many as a scanner writes: headers of CTs have about 120."""
-    moment = f"{100000 + index}.25"
+    moment = f"10{index // 60:02d}{index % 60:02d}.25"
     dataset.PatientName, dataset.PatientID, dataset.PatientSex, dataset.PatientAge = "Phantom", "PHANTOM", "O", "060Y"
     for keyword in ("StudyDate", "SeriesDate", "AcquisitionDate", "ContentDate"):
         setattr(dataset, keyword, "20260101")
