@@ -47,7 +47,7 @@ def test_opening_benchmark_opens_a_small_chest_from_slices_and_from_the_cache_wi
 
 
 class Importer:
-    """Import of 100 steps of 10 ms on a clock of its own, which checks for a cancellation after each n-th step."""
+    """Simulate an import of 100 steps of 10 ms that checks for a cancellation after each n-th step."""
 
     def __init__(self, monkeypatch, check_every: int) -> None:
         self.now_s = 0.0

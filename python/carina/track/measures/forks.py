@@ -20,7 +20,7 @@ CHORD_DIAMETERS = 2.0
 LOOK_MM = 0.25
 """Step in mm along two branches of a fork at which their centrelines are compared."""
 BEYOND_CARINA_RADII = 0.5
-"""Distance beyond the carina, in radii, from which a section contains the lumen of its own branch only."""
+"""Distance beyond the carina, in radii, from which a section contains only the lumen of the branch that it crosses."""
 BEFORE_FORK_RADII = 1.0
 """Distance before a fork, in radii, from which the lumen is wider than the branch."""
 
