@@ -237,6 +237,7 @@ class SmallRenderer:
             lps_from_pixel=np.eye(4) if planar else None,
             lines=None,
             lps_from_camera=None if planar else view.pose.lps_from_camera,
+            lps_from_rest=None,
             fov_deg=None if planar else 90.0,
             optics=None,
             decorated=(),

@@ -187,8 +187,8 @@ OTHERWISE_READ: dict[str, dict[str, tuple[str, str]]] = {
             ),
             ("reads other positions", PARTED),
         ),
-        "two breath-holds that overlap by four slices": ("reads other values", PARTED),
-        # dcm2niix depends on the order of the files in the folder.
+        # For the following two inputs, the result of dcm2niix depends on the order of the files in the folder.
+        "two breath-holds that overlap by four slices": ("reads other values or reads other positions", PARTED),
         "a second kernel at some of the positions": ("reads other values or reads other positions", PARTED),
         "one file, frames in any order": ("reads other positions", ENHANCED),
         "a different slope and intercept in every frame": ("reads other positions", ENHANCED),
