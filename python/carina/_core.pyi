@@ -42,6 +42,9 @@ def decode_dicom_slices(
 ) -> list[bool]:
     """Read slices (path, offset of the pixels, index) into a volume in place; return which were read."""
 
+def lossless_jpeg_problem(frame: bytes, *, start: int) -> str | None:
+    """Return the problem of a lossless grey JPEG stream that begins at an offset; None for intact and other streams."""
+
 def slice_excesses(values_zyx: NDArray[np.int16], *, tile: int | None, step: int, allowed: float) -> list[float]:
     """Return the excess in HU of each slice between two neighbours."""
 

@@ -16,7 +16,6 @@ from carina.cli.info import report
 from carina.errors import VolumeImportError
 from carina.volume import inspect_path, open_volume
 from carina.volume.dicom_checks import odd_slices
-from carina.volume.dicom_lossless_jpeg import lossless_jpeg_problem
 from carina.volume.dicom_pixels import _byte_order_doubts
 from carina.volume.dicom_streams import decoder_words, rle_problem
 
@@ -262,13 +261,13 @@ def test_intact_lossless_jpeg_slice_is_not_reported_as_damaged(tmp_path):
         repack(dataset, lambda frame: frames.append(frame) or frame)
 
     series(tmp_path, pack, hu=chest()[:3])
-    assert [lossless_jpeg_problem(frame) for frame in frames] == [None, None, None]
+    assert [_core.lossless_jpeg_problem(frame, start=0) for frame in frames] == [None, None, None]
     frame = frames[0]
     start, end = frame.index(b"\xff\xda") + 10, frame.rindex(b"\xff\xd9")
-    assert lossless_jpeg_problem(frame[:start] + frame[start + 40 :]) is not None
-    assert lossless_jpeg_problem(frame[:end] + frame[start : start + 40] + frame[end:]) is not None
+    assert _core.lossless_jpeg_problem(frame[:start] + frame[start + 40 :], start=0) is not None
+    assert _core.lossless_jpeg_problem(frame[:end] + frame[start : start + 40] + frame[end:], start=0) is not None
     found = sum(
-        lossless_jpeg_problem(frame[:at] + bytes([frame[at] ^ 0x5A]) + frame[at + 1 :]) is not None
+        _core.lossless_jpeg_problem(frame[:at] + bytes([frame[at] ^ 0x5A]) + frame[at + 1 :], start=0) is not None
         for at in range(start, end - 20, 7)
     )
     # A wrong byte is detected only if it changes the number of codes, as at about a third of all positions.

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import tempfile
 from pathlib import Path
 
 import numpy as np
 import pytest
 from corpus import Input, all_inputs
-from dicom_writer import chest, series
+from dicom_writer import chest, packed, series
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydicom.uid import (
@@ -15,6 +16,7 @@ from pydicom.uid import (
     ExplicitVRBigEndian,
     ExplicitVRLittleEndian,
     ImplicitVRLittleEndian,
+    JPEGLosslessSV1,
     RLELossless,
 )
 
@@ -37,6 +39,7 @@ SYNTAXES = {
     "big endian": ExplicitVRBigEndian,
     "deflated": DeflatedExplicitVRLittleEndian,
     "RLE": RLELossless,
+    "lossless JPEG": JPEGLosslessSV1,
 }
 
 
@@ -46,6 +49,10 @@ def _syntax(dataset, kind: str) -> None:
     if kind == "RLE":
         # GDCM's encoder of RLE aborts the process for some small pictures.
         dataset.compress(syntax, encoding_plugin="pydicom")
+    elif kind == "lossless JPEG":
+        with tempfile.TemporaryDirectory() as folder:
+            packed(dataset, Path(folder), "JPEG")
+        assert dataset.file_meta.TransferSyntaxUID == syntax
     else:
         if syntax == ExplicitVRBigEndian:
             dataset.PixelData = np.frombuffer(dataset.PixelData, "<u2").astype(">u2").tobytes()
@@ -122,7 +129,7 @@ def test_fast_readers_read_ordinary_series_of_each_transfer_syntax_like_the_refe
     assert fast[0] == chest(8).tobytes()
 
 
-@pytest.mark.parametrize("kind", ["explicit", "RLE", "deflated"])
+@pytest.mark.parametrize("kind", ["explicit", "RLE", "deflated", "lossless JPEG"])
 @pytest.mark.parametrize("damage", ["cut", "byte", "padding", "clipped"])
 def test_damaged_and_remarkable_slices_have_the_answer_of_the_reference(tmp_path, monkeypatch, kind, damage):
     def edit(dataset, index):
@@ -146,9 +153,10 @@ def test_damaged_and_remarkable_slices_have_the_answer_of_the_reference(tmp_path
     _check_alike(monkeypatch, folder)
 
 
+@pytest.mark.parametrize(("kind", "coding"), [("RLE", "rle"), ("lossless JPEG", "lossless jpeg")])
 @settings(max_examples=12, deadline=None)
 @given(data=st.data())
-def test_rle_of_any_picture_is_decoded_like_the_reference(tmp_path_factory, data):
+def test_any_compressed_picture_is_decoded_like_the_reference(tmp_path_factory, kind, coding, data):
     rows, columns = data.draw(st.integers(2, 24)), data.draw(st.integers(2, 24))
     bits = data.draw(st.sampled_from([10, 12, 16]))
     rng = np.random.default_rng(data.draw(st.integers(0, 2**32 - 1)))
@@ -161,14 +169,14 @@ def test_rle_of_any_picture_is_decoded_like_the_reference(tmp_path_factory, data
     def edit(dataset, index):
         dataset.PixelData = values[index].astype("<u2").tobytes()
         dataset.BitsStored, dataset.HighBit = (bits, bits - 1)
-        _syntax(dataset, "RLE")
+        _syntax(dataset, kind)
 
     headers = _headers(series(folder / "ct", edit, hu=values.astype(np.int16)))
     found = np.empty((3, rows, columns), np.int16)
     is_read = _core.decode_dicom_slices(
         [(header.path, header.pixels_at, number) for number, header in enumerate(headers)],
         found,
-        coding="rle",
+        coding=coding,
         bits_allocated=16,
         bits_stored=headers[0].bits_stored,
         high_bit=headers[0].high_bit,

@@ -104,6 +104,7 @@ fn decode_dicom_slices(
         "big" => Coding::Big,
         "deflated" => Coding::Deflated,
         "rle" => Coding::Rle,
+        "lossless jpeg" => Coding::LosslessJpeg,
         _ => {
             return Err(PyValueError::new_err(format!(
                 "coding: expected a known coding, found {coding}"
@@ -164,6 +165,14 @@ fn decode_dicom_slices(
     Ok(found)
 }
 
+/// Return the problem of a lossless grey JPEG stream that begins at `start`; None for intact and for other streams.
+#[pyfunction]
+#[pyo3(signature = (frame, *, start))]
+fn lossless_jpeg_problem(frame: &[u8], start: usize) -> PyResult<Option<&'static str>> {
+    carina_dicom::lossless_jpeg_problem(frame, start)
+        .map_err(|_| PyValueError::new_err("frame: its header is truncated"))
+}
+
 /// Return the excess in HU of each slice between two neighbours.
 #[pyfunction]
 #[pyo3(signature = (values_zyx, *, tile, step, allowed))]
@@ -186,5 +195,6 @@ fn slice_excesses(
 pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(scan_dicom_headers, module)?)?;
     module.add_function(wrap_pyfunction!(decode_dicom_slices, module)?)?;
+    module.add_function(wrap_pyfunction!(lossless_jpeg_problem, module)?)?;
     module.add_function(wrap_pyfunction!(slice_excesses, module)?)
 }

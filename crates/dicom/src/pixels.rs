@@ -6,8 +6,8 @@ use std::path::PathBuf;
 
 use rayon::prelude::*;
 
-use crate::decode_rle;
 use crate::header::{inflated_pixels, open_regular};
+use crate::{decode_lossless_jpeg, decode_rle};
 
 const UNDEFINED: u32 = u32::MAX;
 const ITEM: [u8; 4] = [0xfe, 0xff, 0x00, 0xe0];
@@ -18,6 +18,8 @@ const HARMLESS_HU: i32 = -1000;
 const CORNER_HU: (i32, i32) = (2000, 30_710);
 /// Mean difference of neighbouring pixels from which a slice may be noise, because its bytes are swapped.
 const ROUGH: u64 = 200;
+/// Largest file with compressed pixels that is read, bytes; each core may read one.
+const MAX_PACKED: u64 = 1 << 26;
 /// Number of rows that are examined for swapped bytes.
 const ROUGH_ROWS: usize = 32;
 
@@ -34,6 +36,8 @@ pub enum Coding {
     Deflated,
     /// RLE.
     Rle,
+    /// Lossless JPEG.
+    LosslessJpeg,
 }
 
 /// Format of the slices of one call.
@@ -132,21 +136,29 @@ fn read_slice(
                 format.rows * format.columns,
                 format.bits_allocated as usize / 8,
             )?;
-            // GDCM does not change the sign or the unused bits of a number.
-            let fits = format.high_bit + 1 == format.bits_stored
-                && if format.signed {
-                    format.bits_stored == format.bits_allocated
-                } else {
-                    format.bits_stored == 16
-                        || words.iter().all(|word| *word >> format.bits_stored == 0)
-                };
-            if !fits {
-                return None;
-            }
-            words
+            fits_into_tags(&words, format.bits_allocated, format).then_some(words)?
+        }
+        Coding::LosslessJpeg => {
+            let stream = read_stream(source, buffer)?;
+            let found = decode_lossless_jpeg(&stream, format.rows, format.columns)?;
+            fits_into_tags(&found.words, found.bits, format).then_some(found.words)?
         }
     };
     to_volume(&words, format, out)
+}
+
+/// Return whether words of `bits` bits have the same meaning with the bits and the sign that the tags state.
+///
+/// GDCM does not change the sign or the unused bits of a decoded number.
+fn fits_into_tags(words: &[u16], bits: u32, format: &SliceFormat) -> bool {
+    let used = bits.min(format.bits_stored);
+    format.high_bit + 1 == format.bits_stored
+        && bits <= format.bits_allocated
+        && if format.signed {
+            used == format.bits_allocated
+        } else {
+            used == 16 || words.iter().all(|word| *word >> used == 0)
+        }
 }
 
 fn size_bytes(format: &SliceFormat) -> usize {
@@ -200,9 +212,12 @@ fn open_at(source: &SliceSource) -> Option<File> {
 
 /// Return the joined fragments of a compressed file with one frame (PS3.5 A.4), without the offset table.
 fn read_stream(source: &SliceSource, buffer: &mut Vec<u8>) -> Option<Vec<u8>> {
-    let mut file = open_at(source)?;
+    let file = open_at(source)?;
     buffer.clear();
-    file.read_to_end(buffer).ok()?;
+    file.take(MAX_PACKED).read_to_end(buffer).ok()?;
+    if buffer.len() as u64 == MAX_PACKED {
+        return None;
+    }
     let (begin, length) = value_of_element(buffer.get(..12)?, Coding::Little)?;
     let end = if length == UNDEFINED {
         buffer.len()

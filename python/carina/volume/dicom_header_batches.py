@@ -17,13 +17,17 @@ from pydicom.tag import Tag
 from carina import _core
 from carina.volume.dicom_headers import (
     HEADER_TAGS,
-    MAX_INFLATED_BYTES,
     SETTINGS,
     SliceHeader,
     comparable_bytes,
     read_image_headers,
 )
 
+MAX_FAST_INFLATED_BYTES = 1 << 25
+"""Largest decompressed size of a deflated file for the compiled module, bytes, because each core inflates one file.
+
+The reference inflates larger ones, one after the other.
+"""
 _BATCH = 64  # files between two reports of the progress
 _SINGLE = tuple(sorted(int(Tag(keyword)) for keyword in ("SOPInstanceUID", "AcquisitionTime", "ImagePositionPatient")))
 _REFUSED = [
@@ -46,7 +50,7 @@ def headers_in_batches(paths: Sequence[Path]) -> Iterator[tuple[Path, SliceHeade
     for begin in range(0, len(paths), _BATCH):
         batch = paths[begin : begin + _BATCH]
         scanned = _core.scan_dicom_headers(
-            batch, shared=_SHARED, single=_SINGLE, refused=_REFUSED, max_inflated=MAX_INFLATED_BYTES
+            batch, shared=_SHARED, single=_SINGLE, refused=_REFUSED, max_inflated=MAX_FAST_INFLATED_BYTES
         )
         for path, elements in zip(batch, scanned, strict=True):
             if elements is None:

@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 
 from carina import _core
 from carina.volume.dicom_geometry import SliceStack
-from carina.volume.dicom_headers import MAX_INFLATED_BYTES, SliceHeader
+from carina.volume.dicom_header_batches import MAX_FAST_INFLATED_BYTES
+from carina.volume.dicom_headers import SliceHeader
 from carina.volume.padding import PaddingRange
 from carina.volume.progress import Watch
 
@@ -24,6 +25,8 @@ _CODINGS = {
     "1.2.840.10008.1.2.2": "big",
     "1.2.840.10008.1.2.1.99": "deflated",
     "1.2.840.10008.1.2.5": "rle",
+    "1.2.840.10008.1.2.4.57": "lossless jpeg",
+    "1.2.840.10008.1.2.4.70": "lossless jpeg",
 }
 """Coding of the pixels in each transfer syntax that the compiled module reads."""
 _MAX_INTERCEPT = 1 << 24
@@ -110,7 +113,7 @@ def _read(
             signed=signed,
             intercept=intercept,
             padding=None if padding is None else list(padding),
-            max_inflated=MAX_INFLATED_BYTES,
+            max_inflated=MAX_FAST_INFLATED_BYTES,
             cancel=watch.cancel,
         )
         read += [number for number, is_read in zip(batch, found, strict=True) if is_read]

@@ -20,7 +20,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 
-from carina.volume.dicom_lossless_jpeg import lossless_jpeg_problem
+from carina import _core
 
 _JPEG_START, _J2K_START = b"\xff\xd8\xff", b"\xff\x4f\xff\x51"
 _MAX_J2K_TILES = 4096  # one tile is usual; each tile costs the decoder kilobytes
@@ -67,7 +67,7 @@ def read_stream(stored: bytes) -> Stream | None:
             return _read_j2k(stored, at)
         at = stored.find(_JPEG_START, 0, 4096)
         return _read_jpeg(stored, at) if at >= 0 else None
-    except (IndexError, struct.error):
+    except (IndexError, struct.error, ValueError):
         return None
 
 
@@ -126,7 +126,8 @@ def _read_jpeg(stored: bytes, start: int) -> Stream | None:
     if head is None:
         return None
     problem = _follow_jpeg(stored, at, _IN_JPEG_LS if kind == 0xF7 else _IN_JPEG)
-    return Stream(*head, signed=None, problem=problem or lossless_jpeg_problem(stored))
+    problem = problem or _core.lossless_jpeg_problem(stored, start=start)
+    return Stream(*head, signed=None, problem=problem)
 
 
 # A marker within coded data: in JPEG a byte FF of the data is followed by 00, in JPEG-LS by a byte below 80.
