@@ -102,6 +102,19 @@ def test_single_changed_bit_of_a_compressed_slice_is_reported_with_the_slice(tmp
 
 
 @needs_av
+def test_equal_damage_is_reported_for_each_slice_and_at_each_opening(tmp_path):
+    def edit(dataset, index):
+        packed(dataset, tmp_path, "JPEG2000")
+        if index in (2, 3, 4):
+            repack(dataset, lambda frame: frame[:-400] + bytes([frame[-400] ^ 4]) + frame[-399:])
+
+    folder = series(tmp_path, edit, hu=np.repeat(_slices()[:1], 6, axis=0))
+    for _ in range(2):
+        (note,) = (note for note in open_volume(folder).source.notes if note.code == "import.pixels-damaged")
+        assert "3 of 6 slices: IM002" in note.words
+
+
+@needs_av
 def test_compressed_stream_that_the_second_decoder_does_not_support_is_not_reported(compressed, monkeypatch):
     import av
 
@@ -117,12 +130,12 @@ def test_compressed_stream_that_the_second_decoder_does_not_support_is_not_repor
 
 
 @needs_av
-def test_log_level_of_the_second_decoder_is_restored_after_the_check(compressed):
+def test_log_settings_of_the_second_decoder_are_restored_after_the_check(compressed):
     import av.logging
 
-    before = av.logging.get_level()
+    before = av.logging.get_level(), av.logging.get_skip_repeated()
     j2k_problem(_frame(compressed / "IM000"))
-    assert av.logging.get_level() == before
+    assert (av.logging.get_level(), av.logging.get_skip_repeated()) == before
 
 
 def test_note_states_that_damaged_slices_may_be_missed_without_pyav(compressed, monkeypatch):

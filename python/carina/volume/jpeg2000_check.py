@@ -54,32 +54,37 @@ def not_checked_note(slices: Sequence[SliceHeader]) -> Note | None:
     return Note("import.not-checked", words)
 
 
-_level_lock = threading.Lock()
-_level_users = 0
-_level_before: int | None = None
+_lock = threading.Lock()
+_users = 0
+_before: tuple[int | None, bool] = (None, True)
 
 
 @contextmanager
 def _ffmpeg_warnings() -> Iterator[None]:
-    """Let FFmpeg report warnings to Python within the block.
+    """Let FFmpeg report every warning to Python within the block.
 
-    The level applies to the whole process, so the users of the block are counted.
+    By default PyAV omits a message that equals the one before, so that the second of two damaged slices, or a damaged
+    slice that is opened again, would pass as intact. The settings apply to the whole process, so the users of the block
+    are counted.
     """
     import av.logging
 
-    global _level_users, _level_before  # noqa: PLW0603
-    with _level_lock:
-        if _level_users == 0:
-            _level_before = av.logging.get_level()
+    global _users, _before  # noqa: PLW0603
+    with _lock:
+        if _users == 0:
+            _before = av.logging.get_level(), av.logging.get_skip_repeated()
             av.logging.set_level(av.logging.WARNING)
-        _level_users += 1
+            av.logging.set_skip_repeated(False)
+        _users += 1
     try:
         yield
     finally:
-        with _level_lock:
-            _level_users -= 1
-            if _level_users == 0:
-                av.logging.set_level(_level_before)
+        with _lock:
+            _users -= 1
+            if _users == 0:
+                level, skips_repeated = _before
+                av.logging.set_level(level)
+                av.logging.set_skip_repeated(skips_repeated)
 
 
 def j2k_problem(frame: bytes) -> str | None:
