@@ -42,6 +42,21 @@ def decode_dicom_slices(
 ) -> list[bool]:
     """Read slices (path, offset of the pixels, index) into a volume in place; return which were read."""
 
+def place_dicom_words(
+    words_yx: NDArray[np.uint16],
+    out_zyx: NDArray[np.int16],
+    *,
+    level: int,
+    bits: int,
+    bits_allocated: int,
+    bits_stored: int,
+    high_bit: int,
+    signed: bool,
+    intercept: int,
+    padding: Sequence[tuple[int, int]] | None,
+) -> bool:
+    """Write decoded words into one slice of a volume in place; return whether nothing about them is remarkable."""
+
 def lossless_jpeg_problem(frame: bytes, *, start: int) -> str | None:
     """Return the problem of a lossless grey JPEG stream that begins at an offset; None for intact and other streams."""
 

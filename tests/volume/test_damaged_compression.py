@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import threading
 from pathlib import Path
 
@@ -14,10 +15,39 @@ from carina.volume import jpeg2000_check, open_volume
 from carina.volume.dicom_headers import read_image_headers
 from carina.volume.dicom_pixel_bytes import read_stream_bytes
 from carina.volume.dicom_pixels import read_slice
-from carina.volume.jpeg2000_check import has_second_decoder, j2k_problem
+from carina.volume.dicom_streams import read_stream
+from carina.volume.jpeg2000_check import has_second_decoder, intact_j2k_words, j2k_problem
 
 needs_av = pytest.mark.skipif(not has_second_decoder(), reason="PyAV (extra video) is not installed")
 NUM = 6
+STREAMS = {
+    (9, False): (
+        "|4;u>04V?f0000m0000e00000000000000m0000e0000000000009UA0sm3}3;+NC0RROA1ONg5TmTb5NKjB%P*7M<P*_k<SWr+{|6~9"
+        "q00BdCWnpw>WFTUBAWv{*Zc0!^M<8}(a&u{KZXhx)H7+v$kN^q*00000?*IY+li!#y2cu1o>~g?95TJbEfCcXf9KiX*KzxB90w5KVoW`"
+        "1;2#(_C3_rkpgCP2a-~vz)XO;;P?->fZ@@DN3P*5k#i=5#KFc9s(%L<gfn2Y~yQhyXWgOfkNe1@R<g}@gnjG$SsYJVjV$vd*y8C?Mh1J"
+        "#28AN5M#3?gOe)SRdAkg9a|rWgPK!a=l{Djc7{e1_oqh~NUCA#4>%>elE3cdex~0A-2;8XB>;&GUatJ)^$>)cwH&-Q&B0iJ1TZFp!rj@"
+        "BkP{OO}<O3!oM46NW<^8jB<nY~-fWH{bu+"
+    ),
+    (12, True): (
+        "|4;u>04V?f0000m0000e00000000000000m0000e000000000000D~u0sm3}3;+NC0RROA1ONg5TmTb5U}$J?XlQU~XmDs~aA;_7|6~9"
+        "q00BdCWnpw>WFTUBAWv{*Zc0!^M<8}(a&u{KZXhx)H7+v$kN^q*00001ZvX-Rli%PV2cu5cFb(x9z&@ZTAAlSH9RvwA2_3%&!2ALrKG1"
+        "jo5damEoW}(y&h7|~;_UMfe-6LEeWMV5W3T`u5oeYO67Lxbv_>6FfCLB1R0#<nO$ZQw5l~Pk%!{1zl$ay|goFTpTJHp+;If(>D(hK%Qy"
+        ")z%r@(!tkbY+{03{bGjG$SsYRws1ife`E&=8OuzHP8D3e)0ys}U7J(iOCDk_$EsKM$~6&uBaS{XXY&5q}IKW$DzMr|^)fboZth006>4w"
+        "3sR!ZAaexq^l870000ma)d!H7r+28kd~}(bxrOk@EDna<5JH(r-*L9z<s1perJ#XCn0PVN$S?<19z@jv_Jp=0fdCVo#Oxi7u(8KRAKU$"
+        "l)Qfc)cwH&-Q&B0iJ1TZFp!rj@BkP{OT<dW<VOvAtdV*I5sMsathZSsTa#;bmg_CnNY>=q-DSGVb&@Y(tK*n4D}Vpl"
+    ),
+    (15, True): (
+        "|4;u>04V?f0000m0000e00000000000000m0000e000000000000E8x0sm3}3;+NC0RROA1ONg5TmTb5cz}S2fPjdAfQW#Ah=72I|6~9"
+        "q00BdCWnpw>WFTUBAWv{*Zc0!^M<8}(a&u{KZXhx)H7+v$kN^q*00001v;YDBli&DYPzR$<*DwwKD43_fKQK5S$Q%Fx2njKN2`g{|!2U"
+        "vDKVXOe0w5KVoW};jkB1cqj^gby`76Hx-@tyv5PyP*00J-(XO;;P?->fTMjcFm1Ut@R11x850bqB?Z}=UA$)CUxP*5k#i=6V5m?Qy&ga"
+        "Ch9?*yXYvYI3b68I+AM=PVPbT=+eRgixb1IxgE$Z&s!Ko=>DpjoeK?g@khBnHmF00t5g_!0zRU_T1mubbxizHb~wb239=u-I%i8x4lRK"
+        "+NR-2E$>n*lac%4T6E0xf}m~3?gOe)SRdAkg9a|rWgPK!a=l{DjaP`-u$Gi5l{dC05EcdK`s}-05Fi2tZ#KrJ@Y;)000065Dm4q+f|6D"
+        "0000ONK39SCE)*35~(Br0002Nz<$OMe}jks0#G4r6-nyW=mU4IS+qa^00D%Azn$X%02oM1kbnRTBqhd(zy=Z$<lw*q2+hjz>c0Tg{lNp"
+        "><GX^1nE(JVke4d(02oM1_@3|p0fdCV>EpmF<A7lhN?h23dVYt0A1YVMV8FEVkMATY&DCrF*#"
+    ),
+}
+"""JPEG 2000 streams that OpenJPEG wrote, by bits and sign: 30 numbers from the lowest to the highest, each in 8 x 8
+pixels; in base 85."""
 
 
 def _slices(num: int = NUM) -> np.ndarray:
@@ -85,6 +115,21 @@ def test_intact_compressed_slices_are_not_reported_as_damaged(compressed):
     volume = open_volume(compressed)
     assert (volume.source.notes, volume.is_hu) == ((), True)
     np.testing.assert_array_equal(volume.hu_zyx, _slices())
+
+
+@needs_av
+@pytest.mark.parametrize(("bits", "signed"), STREAMS)
+def test_second_decoder_returns_the_words_of_streams_with_fewer_bits(bits, signed):
+    frame = base64.b85decode(STREAMS[bits, signed])
+    stream = read_stream(frame)
+    assert stream is not None
+    assert (stream.bits, stream.signed) == (bits, signed)
+    lowest = -(1 << (bits - 1)) if signed else 0
+    values = lowest + np.linspace(0, (1 << bits) - 1, 30).astype(int).reshape(5, 6).repeat(8, 0).repeat(8, 1)
+    np.testing.assert_array_equal(intact_j2k_words(frame, stream), values & ((1 << bits) - 1))
+    # A stream that states the irreversible transform is left to the reference.
+    at = frame.index(b"\xff\x52") + 13
+    assert intact_j2k_words(frame[:at] + b"\0" + frame[at + 1 :], stream) is None
 
 
 @needs_av

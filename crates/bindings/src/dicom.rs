@@ -7,7 +7,7 @@
 use std::path::PathBuf;
 
 use carina_dicom::{Coding, SliceFormat, SliceSource, Wanted};
-use numpy::{PyReadonlyArray3, PyReadwriteArray3, PyUntypedArrayMethods};
+use numpy::{PyReadonlyArray2, PyReadonlyArray3, PyReadwriteArray3, PyUntypedArrayMethods};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::PyBytes;
@@ -111,24 +111,10 @@ fn decode_dicom_slices(
             )));
         }
     };
-    let shape = out_zyx.shape().to_vec();
-    let is_word = matches!(bits_allocated, 8 | 16) && (1..=bits_allocated).contains(&bits_stored);
-    if !is_word
-        || high_bit + 1 < bits_stored
-        || high_bit >= bits_allocated
-        || shape[1..].contains(&0)
-    {
-        return Err(PyValueError::new_err(
-            "expected words of 8 or 16 bits and slices with pixels",
-        ));
-    }
-    if intercept.unsigned_abs() > 1 << 24 {
-        return Err(PyValueError::new_err("intercept: expected at most 24 bits"));
-    }
-    let format = SliceFormat {
+    let format = checked(SliceFormat {
         coding,
-        rows: shape[1],
-        columns: shape[2],
+        rows: out_zyx.shape()[1],
+        columns: out_zyx.shape()[2],
         bits_allocated,
         bits_stored,
         high_bit,
@@ -136,7 +122,7 @@ fn decode_dicom_slices(
         intercept,
         padding,
         max_inflated,
-    };
+    })?;
     let sources: Vec<SliceSource> = sources
         .into_iter()
         .map(|(path, pixels_at, level)| SliceSource {
@@ -163,6 +149,70 @@ fn decode_dicom_slices(
         return Err(watch.error(Cancelled));
     }
     Ok(found)
+}
+
+/// Write decoded words into the slice `level` of the volume in place; return whether nothing about them is remarkable.
+#[pyfunction]
+#[pyo3(signature = (words_yx, out_zyx, *, level, bits, bits_allocated, bits_stored, high_bit, signed, intercept, padding))]
+fn place_dicom_words(
+    words_yx: PyReadonlyArray2<'_, u16>,
+    mut out_zyx: PyReadwriteArray3<'_, i16>,
+    level: usize,
+    bits: u32,
+    bits_allocated: u32,
+    bits_stored: u32,
+    high_bit: u32,
+    signed: bool,
+    intercept: i32,
+    padding: Option<Vec<(i32, i32)>>,
+) -> PyResult<bool> {
+    let shape = out_zyx.shape().to_vec();
+    if words_yx.shape() != &shape[1..] || level >= shape[0] || !(1..=16).contains(&bits) {
+        return Err(PyValueError::new_err(
+            "expected words of at most 16 bits with the size of a slice of the volume",
+        ));
+    }
+    let format = checked(SliceFormat {
+        coding: Coding::Little,
+        rows: shape[1],
+        columns: shape[2],
+        bits_allocated,
+        bits_stored,
+        high_bit,
+        signed,
+        intercept,
+        padding,
+        max_inflated: 0,
+    })?;
+    let size = shape[1] * shape[2];
+    let words = words_yx
+        .as_slice()
+        .map_err(|_| PyValueError::new_err("words_yx: expected a contiguous array"))?;
+    let out = out_zyx
+        .as_slice_mut()
+        .map_err(|_| PyValueError::new_err("out_zyx: expected a contiguous array"))?;
+    let plane = &mut out[level * size..(level + 1) * size];
+    Ok(carina_dicom::place_words(words, bits, &format, plane))
+}
+
+/// Return a format whose words and slices are usable.
+fn checked(format: SliceFormat) -> PyResult<SliceFormat> {
+    let is_word = matches!(format.bits_allocated, 8 | 16)
+        && (1..=format.bits_allocated).contains(&format.bits_stored);
+    if !is_word
+        || format.high_bit + 1 < format.bits_stored
+        || format.high_bit >= format.bits_allocated
+        || format.rows == 0
+        || format.columns == 0
+    {
+        return Err(PyValueError::new_err(
+            "expected words of 8 or 16 bits and slices with pixels",
+        ));
+    }
+    if format.intercept.unsigned_abs() > 1 << 24 {
+        return Err(PyValueError::new_err("intercept: expected at most 24 bits"));
+    }
+    Ok(format)
 }
 
 /// Return the problem of a lossless grey JPEG stream that begins at `start`; None for intact and for other streams.
@@ -195,6 +245,7 @@ fn slice_excesses(
 pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(scan_dicom_headers, module)?)?;
     module.add_function(wrap_pyfunction!(decode_dicom_slices, module)?)?;
+    module.add_function(wrap_pyfunction!(place_dicom_words, module)?)?;
     module.add_function(wrap_pyfunction!(lossless_jpeg_problem, module)?)?;
     module.add_function(wrap_pyfunction!(slice_excesses, module)?)
 }

@@ -15,5 +15,5 @@ pub use header::{HeaderElements, Wanted, scan_file};
 pub use lossless_jpeg::{
     LosslessJpeg, TruncatedHeader, decode_lossless_jpeg, lossless_jpeg_problem,
 };
-pub use pixels::{Coding, SliceFormat, SliceSource, decode_slices};
+pub use pixels::{Coding, SliceFormat, SliceSource, decode_slices, place_words};
 pub use rle::decode_rle;

@@ -147,6 +147,12 @@ fn read_slice(
     to_volume(&words, format, out)
 }
 
+/// Write decoded words of `bits` bits into a slice of the volume as `decode_slices` does; return whether nothing about
+/// them is remarkable.
+pub fn place_words(words: &[u16], bits: u32, format: &SliceFormat, out: &mut [i16]) -> bool {
+    fits_into_tags(words, bits, format) && to_volume(words, format, out).is_some()
+}
+
 /// Return whether words of `bits` bits have the same meaning with the bits and the sign that the tags state.
 ///
 /// GDCM does not change the sign or the unused bits of a decoded number.

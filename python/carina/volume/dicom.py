@@ -29,7 +29,7 @@ from carina.volume.dicom_pixels import Doubt, decode_slice, is_compressed
 from carina.volume.dicom_series import Group, count_patients, group_slices, without_copies
 from carina.volume.dicom_slice_batches import read_plain_slices
 from carina.volume.hu import HU_TYPES, MAX_DOUBTFUL_SHARE, HuVerdict, clipped_note, judge_dicom
-from carina.volume.jpeg2000_check import not_checked_note, second_decoder
+from carina.volume.jpeg2000_check import SecondDecoder, not_checked_note, second_decoder
 from carina.volume.message_limits import bounded_list, bounded_message, bounded_name
 from carina.volume.missing_slices import fill_between
 from carina.volume.model import Note, SeriesInfo, Volume, VolumeSource
@@ -393,9 +393,8 @@ def open_series(series: FoundSeries, *, others: Sequence[SeriesInfo], notes: tup
     padding = PaddingCount()
     doubts: list[tuple[SliceHeader, Doubt]] = []
     with second_decoder() as check:
-        check.submit(series.slices)
         try:
-            values = _read_slices(series, clipping, padding, doubts, watch)
+            values = _read_slices(series, clipping, padding, doubts, watch, check=check)
         finally:
             release_pixel_data()
         for index, (header, problem) in enumerate(check.problems()):
@@ -463,11 +462,14 @@ def _read_slices(
     padding: PaddingCount,
     doubts: list[tuple[SliceHeader, Doubt]],
     watch: Watch,
+    *,
+    check: SecondDecoder,
 ) -> NDArray[np.int16]:
     """Return the decoded slices on the grid of the stack; count clipped and padded voxels, and collect doubts."""
     stack = series.stack
     assert stack is not None
     values, read = read_plain_slices(stack, watch)
+    check.submit([header for index, header in enumerate(stack.slices) if index not in read])
     before: tuple[SliceHeader, NDArray[Any]] | None = None
     planes: dict[int, NDArray[np.int16]] = {}
     for index, (header, level) in enumerate(zip(stack.slices, stack.levels, strict=True)):

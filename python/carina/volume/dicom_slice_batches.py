@@ -1,13 +1,16 @@
 """Fast reading of the pixels of unremarkable slices, on all cores, straight into the volume.
 
 The compiled module reads a slice only if its pixels are certainly those that ``dicom_pixels`` would return, without a
-doubt, padding or clipping. Every other slice is left to ``dicom_pixels``, the reference, which decides about errors and
-notes.
+doubt, padding or clipping. FFmpeg decodes reversible JPEG 2000, because it reports damage, which OpenJPEG does not; in
+400 damaged streams, OpenJPEG reported no damage that FFmpeg had not. Every other slice is left to ``dicom_pixels``, the
+reference, which decides about errors and notes.
 """
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +19,9 @@ from carina import _core
 from carina.volume.dicom_geometry import SliceStack
 from carina.volume.dicom_header_batches import MAX_FAST_INFLATED_BYTES
 from carina.volume.dicom_headers import SliceHeader
+from carina.volume.dicom_pixel_bytes import read_stream_bytes
+from carina.volume.dicom_streams import read_stream
+from carina.volume.jpeg2000_check import has_second_decoder, intact_j2k_words
 from carina.volume.padding import PaddingRange
 from carina.volume.progress import Watch
 
@@ -29,6 +35,8 @@ _CODINGS = {
     "1.2.840.10008.1.2.4.70": "lossless jpeg",
 }
 """Coding of the pixels in each transfer syntax that the compiled module reads."""
+_JPEG_2000 = "jpeg 2000"
+_REVERSIBLE_JPEG_2000 = "1.2.840.10008.1.2.4.90"
 _MAX_INTERCEPT = 1 << 24
 _BATCH = 16  # slices that one call of the compiled module reads
 
@@ -76,6 +84,8 @@ def read_plain_slices(stack: SliceStack, watch: Watch) -> tuple[NDArray[np.int16
 def _format(header: SliceHeader) -> _Format | None:
     """Return the arguments of the compiled module for a slice; None if it does not read such slices."""
     coding = _CODINGS.get(header.transfer_syntax)
+    if header.transfer_syntax == _REVERSIBLE_JPEG_2000 and has_second_decoder():
+        coding = _JPEG_2000
     is_readable = coding is not None and (header.pixels_at is not None or coding == "deflated")
     is_plain = header.slope == 1.0 and header.intercept == int(header.intercept) and header.modality_lut is None
     if coding is None or not is_readable or not is_plain or header.frame is not None:
@@ -103,6 +113,9 @@ def _read(
         watch.step("Reading the slices", begin / len(numbers))
         batch = numbers[begin : begin + _BATCH]
         slices = [(stack.slices[number], stack.levels[number]) for number in batch]
+        if coding == _JPEG_2000:
+            read += _read_jpeg_2000(stack, batch, values)
+            continue
         found = _core.decode_dicom_slices(
             [(header.path, header.pixels_at or 0, level) for header, level in slices],
             values,
@@ -118,3 +131,35 @@ def _read(
         )
         read += [number for number, is_read in zip(batch, found, strict=True) if is_read]
     return read
+
+
+def _read_jpeg_2000(stack: SliceStack, numbers: Sequence[int], values: NDArray[np.int16]) -> list[int]:
+    """Decode slices on all cores into the volume; return those that are intact and unremarkable."""
+
+    def decode(number: int) -> bool:
+        header = stack.slices[number]
+        try:
+            frame = read_stream_bytes(header)
+        except (ValueError, OSError):
+            return False
+        stream = None if frame is None else read_stream(frame)
+        if frame is None or stream is None or (stream.components, stream.signed) != (1, header.signed):
+            return False
+        words = intact_j2k_words(frame, stream)
+        if words is None or words.shape != (header.rows, header.columns):
+            return False
+        return _core.place_dicom_words(
+            words,
+            values,
+            level=stack.levels[number],
+            bits=stream.bits,
+            bits_allocated=header.bits_allocated,
+            bits_stored=header.bits_stored,
+            high_bit=header.high_bit,
+            signed=header.signed,
+            intercept=int(header.intercept),
+            padding=list(header.padding) if header.modality == "CT" else None,
+        )
+
+    with ThreadPoolExecutor(os.cpu_count(), thread_name_prefix="jpeg-2000") as pool:
+        return [number for number, is_read in zip(numbers, pool.map(decode, numbers), strict=True) if is_read]

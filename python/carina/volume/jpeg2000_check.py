@@ -22,13 +22,21 @@ import threading
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from carina.volume.dicom_headers import SliceHeader
 from carina.volume.dicom_pixel_bytes import read_stream_bytes
+from carina.volume.dicom_streams import Stream
 from carina.volume.model import Note
 
 _JPEG_2000 = ("1.2.840.10008.1.2.4.90", "1.2.840.10008.1.2.4.91")
 _REPORTS_DAMAGE = ("End mismatch", "Synthetic End of Stream")
+_MAIN_HEADER, _CODING, _COMPONENT_CODING, _TILE_PART = b"\xff\x4f\xff\x51", b"\xff\x52", b"\xff\x53", b"\xff\x90"
+_GREY: dict[str, tuple[np.dtype[Any], int]] = {"gray": (np.dtype("u1"), 8), "gray16le": (np.dtype("<u2"), 16)}
+"""Type and bits of FFmpeg's grey pixel formats that are read."""
 MAX_WORKERS = 4
 
 
@@ -89,6 +97,54 @@ def _ffmpeg_warnings() -> Iterator[None]:
 
 def j2k_problem(frame: bytes) -> str | None:
     """Return the error that FFmpeg reports for a JPEG 2000 stream; None if it is intact or not supported by FFmpeg."""
+    return _decoded(frame)[1]
+
+
+def intact_j2k_words(frame: bytes, stream: Stream) -> NDArray[np.uint16] | None:
+    """Return the words (rows, columns) of a reversibly compressed JPEG 2000 image in which FFmpeg finds no error.
+
+    None is returned for any other image. Both decoders return the same words for a reversible image: all its steps are
+    integer arithmetic (ITU-T T.800 F.3, G). Signed numbers are two's complement of ``stream.bits`` bits.
+
+    Parameters
+    ----------
+    frame
+        The JPEG 2000 stream.
+    stream
+        Its header, from :func:`~carina.volume.dicom_streams.read_stream`.
+    """
+    if stream.problem is not None or stream.signed is None or not 1 <= stream.bits <= 16 or not _is_reversible(frame):
+        return None
+    image, problem = _decoded(frame)
+    if image is None or problem is not None or image.format.name not in _GREY:
+        return None
+    kind, depth = _GREY[image.format.name]
+    unused = depth - stream.bits  # FFmpeg moves numbers to the most significant bits and makes them positive
+    rows = np.frombuffer(image.planes[0], kind).reshape(image.height, -1)
+    if (image.height, image.width) != (stream.rows, stream.columns) or unused < 0:
+        return None
+    words = rows[:, : image.width].astype(np.uint16) >> np.uint16(unused)
+    if stream.signed:
+        words = (words - np.uint16(1 << (stream.bits - 1))) & np.uint16((1 << stream.bits) - 1)
+    return np.ascontiguousarray(words)
+
+
+def _is_reversible(frame: bytes) -> bool:
+    """Return whether all parts of a JPEG 2000 image are coded by the reversible transform (ITU-T T.800 A.6.1)."""
+    at, reversible = frame.find(_MAIN_HEADER, 0, 4096) + 2, False
+    if at < 2:
+        return False
+    while (marker := frame[at : at + 2]) != _TILE_PART:
+        if len(marker) < 2 or marker == _COMPONENT_CODING:
+            return False
+        if marker == _CODING:
+            reversible = frame[at + 13 : at + 14] == b"\x01"
+        at += 2 + int.from_bytes(frame[at + 2 : at + 4], "big")
+    return reversible
+
+
+def _decoded(frame: bytes) -> tuple[Any, str | None]:
+    """Return the image that FFmpeg decodes, or None, and the error that it reports, or None."""
     import av
     import av.logging
 
@@ -98,12 +154,12 @@ def j2k_problem(frame: bytes) -> str | None:
             context.thread_count = 1  # messages are captured only in the thread that decodes
             decoded = context.decode(av.Packet(frame)) or context.decode(None)
         except av.error.InvalidDataError:
-            return "a second decoder cannot read it"
+            return None, "a second decoder cannot read it"
         except (av.error.FFmpegError, MemoryError, ValueError):
-            return None  # not supported by FFmpeg, which does not mean that the stream is damaged
+            return None, None  # not supported by FFmpeg, which does not mean that the stream is damaged
     if any(report.startswith(_REPORTS_DAMAGE) for _, _, report in reports):
-        return "a second decoder found that coded data end too early or too late"
-    return None if decoded else "a second decoder finds no image in it"
+        return None, "a second decoder found that coded data end too early or too late"
+    return (decoded[0], None) if decoded else (None, "a second decoder finds no image in it")
 
 
 class SecondDecoder:
