@@ -1,7 +1,5 @@
 //! Check and decoding of lossless JPEG streams with one grey value per pixel (ITU-T T.81 H).
 
-use jpeg_decoder::{Decoder, PixelFormat};
-
 const LOSSLESS: u8 = 0xc3;
 const LEFT_OVER_BITS: usize = 8;
 /// Predictor of the transfer syntax *lossless, first-order prediction*: the pixel to the left.
@@ -63,10 +61,10 @@ pub fn lossless_jpeg_problem(
     if parts.len() != num_pixels.div_ceil(interval) {
         return Ok(Some("its number of restart intervals is wrong"));
     }
-    let lengths = code_lengths(table).ok_or(TruncatedHeader)?;
+    let codes = Codes::new(table).ok_or(TruncatedHeader)?;
     for (number, part) in parts.iter().enumerate() {
         let wanted = interval.min(num_pixels - number * interval);
-        if !contains_codes(&without_stuffing(part), wanted, &lengths) {
+        if !codes.follow(&without_stuffing(part), wanted, |_| ()) {
             return Ok(Some("its data does not contain one code for each pixel"));
         }
     }
@@ -80,7 +78,8 @@ pub fn decode_lossless_jpeg(frame: &[u8], rows: usize, columns: usize) -> Option
         && (scan.rows, scan.columns) == (rows, columns)
         && scan.interval == 0
         && scan.predictor == LEFT_PIXEL
-        && scan.point_transform == 0;
+        && scan.point_transform == 0
+        && (2..=16).contains(&scan.bits);
     if !is_plain {
         return None;
     }
@@ -90,22 +89,21 @@ pub fn decode_lossless_jpeg(frame: &[u8], rows: usize, columns: usize) -> Option
     if end != [0xff, 0xd9] || scan.coded[data.len() + 2..].iter().any(|byte| *byte != 0) {
         return None;
     }
-    let lengths = code_lengths(scan.table?)?;
-    if !contains_codes(&without_stuffing(data), rows * columns, &lengths) {
-        return None;
-    }
-    let mut decoder = Decoder::new(frame);
-    let bytes = decoder.decode().ok()?;
-    let words = match decoder.info()?.pixel_format {
-        PixelFormat::L8 => bytes.iter().map(|byte| u16::from(*byte)).collect(),
-        PixelFormat::L16 => bytes
-            .chunks_exact(2)
-            .map(|pair| u16::from_ne_bytes([pair[0], pair[1]]))
-            .collect::<Vec<u16>>(),
-        _ => return None,
-    };
+    // The first pixel is predicted as the middle of the range, the first of each other row as the one above (H.1.2.1).
+    let mut words = vec![0u16; rows * columns];
+    let mut at = 0;
+    let codes = Codes::new(scan.table?)?;
+    let is_intact = codes.follow(&without_stuffing(data), words.len(), |difference| {
+        let predicted = match at {
+            0 => 1 << (scan.bits - 1),
+            _ if at % columns == 0 => words[at - columns],
+            _ => words[at - 1],
+        };
+        words[at] = predicted.wrapping_add(difference);
+        at += 1;
+    });
     let bits = u32::from(scan.bits);
-    (words.len() == rows * columns).then_some(LosslessJpeg { words, bits })
+    is_intact.then_some(LosslessJpeg { words, bits })
 }
 
 /// Read the header of a stream up to its first scan; `None` unless this is the scan of a lossless grey image.
@@ -210,42 +208,108 @@ fn without_stuffing(data: &[u8]) -> Vec<u8> {
     bytes
 }
 
-/// Return for each 16-bit value the length in bits of its first code and difference; 0 without a code.
-fn code_lengths(table: &[u8]) -> Option<Vec<u8>> {
-    let mut lengths = vec![0u8; 1 << 16];
-    let (mut code, mut sizes) = (0usize, table[16..].iter());
-    for (length, count) in (1..).zip(&table[..16]) {
-        for _ in 0..*count {
-            let size = *sizes.next()?;
-            let low = code << (16 - length);
-            // A code that does not fit into its length is skipped.
-            if let Some(places) = lengths.get_mut(low..low + (1 << (16 - length))) {
-                places.fill(length + if size >= 16 { 0 } else { size });
-            }
-            code += 1;
-        }
-        code <<= 1;
-    }
-    Some(lengths)
+/// Huffman codes of differences (T.81 H.1.2.2): a code gives the number of bits of the difference behind it.
+struct Codes {
+    /// Length of the first code in each 16-bit value, and the number of bits of its difference; (0, 0) without a code.
+    found: Vec<(u8, u8)>,
 }
 
-/// Return whether data contain exactly `num_codes` codes and less than one further byte.
-fn contains_codes(data: &[u8], num_codes: usize, lengths: &[u8]) -> bool {
-    // Bits 1 behind the end, as in the padding of the last byte.
-    let mut padded = data.to_vec();
-    padded.extend_from_slice(&[0xff; 8]);
-    let mut at = 0usize;
-    for _ in 0..num_codes {
-        let Some(bytes) = padded.get(at >> 3..(at >> 3) + 4) else {
-            return false;
-        };
-        let word = u32::from_be_bytes(bytes.try_into().expect("four bytes"));
-        let length = lengths[(word << (at & 7) >> 16) as usize];
-        if length == 0 {
-            return false;
+impl Codes {
+    /// Make the codes of a table (T.81 B.2.4.2); `None` if it ends early.
+    fn new(table: &[u8]) -> Option<Self> {
+        let mut found = vec![(0, 0); 1 << 16];
+        let (mut code, mut sizes) = (0usize, table[16..].iter());
+        for (length, count) in (1u8..).zip(&table[..16]) {
+            for _ in 0..*count {
+                let size = *sizes.next()?;
+                let low = code << (16 - length);
+                // A code that does not fit into its length is skipped.
+                if let Some(places) = found.get_mut(low..low + (1 << (16 - length))) {
+                    places.fill((length, size));
+                }
+                code += 1;
+            }
+            code <<= 1;
         }
-        at += usize::from(length);
+        Some(Self { found })
     }
-    let num_bits = 8 * data.len();
-    at <= num_bits && num_bits - at < LEFT_OVER_BITS
+
+    /// Call `take` with each difference; return whether data contain exactly `num_codes` codes and less than one
+    /// further byte.
+    fn follow(&self, data: &[u8], num_codes: usize, mut take: impl FnMut(u16)) -> bool {
+        // Bits 1 behind the end, as in the padding of the last byte.
+        let mut padded = data.to_vec();
+        padded.extend_from_slice(&[0xff; 8]);
+        let mut at = 0usize;
+        for _ in 0..num_codes {
+            let Some(bytes) = padded.get(at >> 3..(at >> 3) + 8) else {
+                return false;
+            };
+            let bits = u64::from_be_bytes(bytes.try_into().expect("eight bytes")) << (at & 7);
+            let (length, size) = self.found[(bits >> 48) as usize];
+            if length == 0 {
+                return false;
+            }
+            at += usize::from(length);
+            take(match size {
+                0 => 0,
+                1..=15 => {
+                    at += usize::from(size);
+                    let number = (bits << length >> (64 - size)) as u16;
+                    let is_negative = number >> (size - 1) == 0;
+                    number.wrapping_sub(if is_negative { (1 << size) - 1 } else { 0 })
+                }
+                _ => 1 << 15,
+            });
+        }
+        let num_bits = 8 * data.len();
+        at <= num_bits && num_bits - at < LEFT_OVER_BITS
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Codes 0 (no difference), 10 (one bit), 110 (two bits).
+    const TABLE: [u8; 19] = [1, 1, 1, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 1, 2];
+
+    fn stream(predictor: u8, data: &[u8]) -> Vec<u8> {
+        let mut bytes = vec![0xff, 0xd8, 0xff, 0xc3, 0, 11, 8, 0, 2, 0, 3, 1, 1, 0x11, 0];
+        bytes.extend([0xff, 0xc4, 0, 22, 0]);
+        bytes.extend(TABLE);
+        bytes.extend([0xff, 0xda, 0, 8, 1, 1, 0, predictor, 0, 0]);
+        bytes.extend(data);
+        bytes.extend([0xff, 0xd9]);
+        bytes
+    }
+
+    // Differences +1, 0, -3; -1, +2, 0: 101 0 11000 | 100 11010 0, padded with bits 1.
+    const DATA: [u8; 3] = [0b1010_1100, 0b0100_1101, 0b0011_1111];
+
+    #[test]
+    fn differences_are_added_to_the_left_pixel_and_to_the_one_above() {
+        let found = decode_lossless_jpeg(&stream(1, &DATA), 2, 3).unwrap();
+        assert_eq!(found.words, [129, 129, 126, 128, 130, 130]);
+        assert_eq!(found.bits, 8);
+        assert_eq!(lossless_jpeg_problem(&stream(1, &DATA), 0), Ok(None));
+    }
+
+    #[test]
+    fn other_predictors_and_streams_with_missing_or_further_codes_are_not_decoded() {
+        assert_eq!(decode_lossless_jpeg(&stream(4, &DATA), 2, 3), None);
+        assert_eq!(decode_lossless_jpeg(&stream(1, &DATA), 3, 2), None);
+        for data in [&DATA[..2], &[DATA[0], DATA[1], DATA[2], 0]] {
+            assert_eq!(decode_lossless_jpeg(&stream(1, data), 2, 3), None);
+            assert!(
+                lossless_jpeg_problem(&stream(1, data), 0)
+                    .unwrap()
+                    .is_some()
+            );
+        }
+        assert_eq!(
+            lossless_jpeg_problem(&stream(1, &DATA)[..30], 0),
+            Err(TruncatedHeader)
+        );
+    }
 }

@@ -114,7 +114,7 @@ def _read(
         batch = numbers[begin : begin + _BATCH]
         slices = [(stack.slices[number], stack.levels[number]) for number in batch]
         if coding == _JPEG_2000:
-            read += _read_jpeg_2000(stack, batch, values)
+            read += _read_jpeg_2000(stack, batch, values, watch)
             continue
         found = _core.decode_dicom_slices(
             [(header.path, header.pixels_at or 0, level) for header, level in slices],
@@ -133,11 +133,13 @@ def _read(
     return read
 
 
-def _read_jpeg_2000(stack: SliceStack, numbers: Sequence[int], values: NDArray[np.int16]) -> list[int]:
+def _read_jpeg_2000(stack: SliceStack, numbers: Sequence[int], values: NDArray[np.int16], watch: Watch) -> list[int]:
     """Decode slices on all cores into the volume; return those that are intact and unremarkable."""
 
     def decode(number: int) -> bool:
         header = stack.slices[number]
+        if watch.cancel is not None and watch.cancel():
+            return False  # the next step of the progress ends the reading
         try:
             frame = read_stream_bytes(header)
         except (ValueError, OSError):
