@@ -102,6 +102,16 @@ def test_single_changed_bit_of_a_compressed_slice_is_reported_with_the_slice(tmp
 
 
 @needs_av
+def test_same_damage_is_reported_each_time_a_slice_is_checked(compressed):
+    frame = _frame(compressed / "IM003")
+    damaged = frame[:-400] + bytes([frame[-400] ^ 4]) + frame[-399:]
+    reports = [j2k_problem(damaged) for _ in range(3)]
+    assert reports[0] is not None
+    assert reports == reports[:1] * 3
+    assert j2k_problem(frame) is None
+
+
+@needs_av
 def test_compressed_stream_that_the_second_decoder_does_not_support_is_not_reported(compressed, monkeypatch):
     import av
 
@@ -117,12 +127,12 @@ def test_compressed_stream_that_the_second_decoder_does_not_support_is_not_repor
 
 
 @needs_av
-def test_log_level_of_the_second_decoder_is_restored_after_the_check(compressed):
+def test_log_settings_of_the_second_decoder_are_restored_after_the_check(compressed):
     import av.logging
 
-    before = av.logging.get_level()
+    before = av.logging.get_level(), av.logging.get_skip_repeated()
     j2k_problem(_frame(compressed / "IM000"))
-    assert av.logging.get_level() == before
+    assert (av.logging.get_level(), av.logging.get_skip_repeated()) == before
 
 
 def test_note_states_that_damaged_slices_may_be_missed_without_pyav(compressed, monkeypatch):

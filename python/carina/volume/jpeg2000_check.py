@@ -57,21 +57,24 @@ def not_checked_note(slices: Sequence[SliceHeader]) -> Note | None:
 _level_lock = threading.Lock()
 _level_users = 0
 _level_before: int | None = None
+_skipped_before = True
 
 
 @contextmanager
 def _ffmpeg_warnings() -> Iterator[None]:
-    """Let FFmpeg report warnings to Python within the block.
+    """Let FFmpeg report warnings to Python within the block, repeated ones too.
 
-    The level applies to the whole process, so the users of the block are counted.
+    By default PyAV skips a message equal to the previous one, whatever its stream, so the same damage would be
+    reported only once. The settings apply to the whole process, so the users of the block are counted.
     """
     import av.logging
 
-    global _level_users, _level_before  # noqa: PLW0603
+    global _level_users, _level_before, _skipped_before  # noqa: PLW0603
     with _level_lock:
         if _level_users == 0:
-            _level_before = av.logging.get_level()
+            _level_before, _skipped_before = av.logging.get_level(), av.logging.get_skip_repeated()
             av.logging.set_level(av.logging.WARNING)
+            av.logging.set_skip_repeated(False)
         _level_users += 1
     try:
         yield
@@ -80,6 +83,7 @@ def _ffmpeg_warnings() -> Iterator[None]:
             _level_users -= 1
             if _level_users == 0:
                 av.logging.set_level(_level_before)
+                av.logging.set_skip_repeated(_skipped_before)
 
 
 def j2k_problem(frame: bytes) -> str | None:
