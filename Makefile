@@ -157,6 +157,8 @@ check: check-rust check-python check-web docs ## formatting, lints, types, layer
 check-rust:
 	cargo fmt --all --check
 	cargo clippy --profile checked --workspace --all-targets -- -D warnings
+	RUSTDOCFLAGS="-D warnings -A rustdoc::private_intra_doc_links" \
+	    cargo doc --profile checked --workspace --no-deps --document-private-items
 
 check-web: $(WEB_TOOLS)
 	cd web && npm run check

@@ -31,7 +31,9 @@ Say = Callable[[str], None]
 Row = dict[str, Any]
 
 TILTS_DEG = (0.0, 5.0, 10.0, 15.0, 20.0, 25.0, 30.0)
-"""Tilts of the gantry in degrees; the first is the straight CT."""
+"""Tilts of the gantry in degrees; the first is the straight CT. The case ``negative`` tilts the other way."""
+THICK_MM = 3.0
+"""Slice thickness and table feed of the case ``3mm``."""
 SEEDS = (21, 22)
 """Seeds of the phantoms."""
 SAMPLED_MM, PIXEL_MM, SLICE_MM, NOISE_HU = 0.6, 1.0, 1.25, 20.0
@@ -95,7 +97,7 @@ class Scanner:
         matrix, (nz, ny, nx) = phantom.lps_from_ijk, phantom.shape_zyx
         voxels = np.ascontiguousarray(phantom.hu_zyx).reshape(nz * ny, nx)
         along_mm = self.along_mm
-        rng = np.random.default_rng((seed, round(100 * self.tilt_deg)))
+        rng = np.random.default_rng((seed, round(100 * self.tilt_deg) % 36_000))  # a seed is not negative
         slices = []
         for height_mm in self.heights_mm:
             values = np.float32(self.noise_hu) * rng.standard_normal((len(along_mm), nx), dtype=np.float32)
@@ -156,23 +158,48 @@ def detection(found_zyx: NDArray[np.bool_], volume: Volume, branches: Sequence[T
 
 
 def run(quick: bool, say: Say, cases: Sequence[str] = ()) -> list[Row]:
-    """Return rows of TD and BD for each phantom and tilt, with their difference from the straight CT."""
-    seeds = tuple(int(case.removeprefix("phantom-")) for case in cases) or (SEEDS[:1] if quick else SEEDS)
+    """Return rows of TD and BD for each phantom and tilt, with their difference from the straight CT.
+
+    Parameters
+    ----------
+    quick
+        One phantom and every third tilt.
+    say
+        Function that receives a line about each CT.
+    cases
+        Phantoms by ``phantom-SEED``; ``negative`` for negative tilts; ``3mm`` for thick slices.
+    """
+    seeds = tuple(int(case.removeprefix("phantom-")) for case in cases if case.startswith("phantom-"))
+    slice_mm = THICK_MM if "3mm" in cases else SLICE_MM
+    sign = -1.0 if "negative" in cases else 1.0
     rows: list[Row] = []
-    for seed in seeds:
-        rows += rows_of(seed, TILTS_DEG[::3] if quick else TILTS_DEG, say)
+    for seed in seeds or (SEEDS[:1] if quick else SEEDS):
+        scanners = [Scanner(sign * tilt_deg + 0.0, slice_mm=slice_mm) for tilt_deg in TILTS_DEG]
+        rows += rows_of(seed, scanners, say, step=3 if quick else 1)
     return rows
 
 
-def rows_of(seed: int, tilts_deg: Sequence[float], say: Say) -> list[Row]:
-    """Return the rows of the phantom of a seed; the first tilt is that of the straight CT, 0."""
+def rows_of(seed: int, scanners: Sequence[Scanner], say: Say, *, step: int = 1) -> list[Row]:
+    """Return the rows of the phantom of a seed.
+
+    Parameters
+    ----------
+    seed
+        Seed of the phantom.
+    scanners
+        All scans, which decide the airways that count; the first is the straight CT.
+    say
+        Function that receives a line about each CT.
+    step
+        Only every ``step``-th scan is searched.
+    """
     phantom = generate_phantom(seed=seed, spacing_mm=(PIXEL_MM, SAMPLED_MM, SAMPLED_MM), noise_hu=0.0, progress=False)
-    branches = covered_branches(phantom, [Scanner(tilt) for tilt in TILTS_DEG])
+    branches = covered_branches(phantom, scanners)
     rows: list[Row] = []
     straight: tuple[float, float] | None = None
-    for tilt_deg in tilts_deg:
-        scanner = Scanner(tilt_deg)
-        case = f"phantom {seed}, {tilt_deg:g} degrees"
+    for scanner in scanners[::step]:
+        thick = f", {scanner.slice_mm:g} mm slices" if scanner.slice_mm != SLICE_MM else ""
+        case = f"phantom {seed}, {scanner.tilt_deg:g} degrees{thick}"
         volume = opened(scanner.scan(phantom.volume, seed=seed), scanner.lps_from_ijk(phantom.volume))
         try:
             airways = find_airways(volume, progress=False)

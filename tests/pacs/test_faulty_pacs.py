@@ -8,6 +8,7 @@ import time
 import warnings
 from dataclasses import replace
 from io import BytesIO
+from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
@@ -297,6 +298,21 @@ def test_values_of_a_web_answer_are_not_quoted_in_warnings(monkeypatch, recwarn)
     (found,) = find_studies(PacsConnection("test", url="http://127.0.0.1:9/"), date="2026-11-03", modality="")
     assert (found.uid, found.date) == ("1.2.3", "")
     assert len(recwarn) == number
+
+
+def test_warning_of_another_thread_is_shown_while_a_file_is_sent(recwarn):
+    def send(_datasets):
+        warnings.warn("quotes a value of the answer", stacklevel=1)
+        other = threading.Thread(target=warnings.warn, args=("of another job",))
+        other.start()
+        other.join()
+        return Dataset()
+
+    client = WebClient(PacsConnection("test", url="http://127.0.0.1:9/"))
+    client._client = SimpleNamespace(store_instances=send)
+    warnings.simplefilter("always")
+    assert client.store([(Path("a.dcm"), Dataset())], Watch()) == (1, [])
+    assert [str(one.message) for one in recwarn] == ["of another job"]
 
 
 def received_image():

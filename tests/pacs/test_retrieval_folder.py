@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -145,3 +147,107 @@ def test_lock_file_is_deleted_after_the_block_and_excludes_a_second_block(tmp_pa
     assert not path.exists()
     with lock_file(path) as held:
         assert held
+
+
+def _replaced(tmp_path):
+    """Retrieve series A, add files of the user to its folder, and return the folder."""
+    target = tmp_path / "scan"
+    with RetrievalFolder(target, SERIES) as folder:
+        folder.add(A, b"a")
+        folder.complete([A])
+    (target / "notes.txt").write_text("mine")
+    (target / "drawings").mkdir()
+    (target / "drawings" / "plan.txt").write_text("mine too")
+    return target
+
+
+def _retrieve_again(target):
+    with RetrievalFolder(target, SERIES, replaces=True) as folder:
+        for uid, content in ((A, b"a2"), (B, b"b")):
+            folder.add(uid, content)
+        folder.complete([A, B])
+
+
+class Crash(BaseException):
+    """End of the process, after which nothing on the disk changes."""
+
+
+def _crash_at(monkeypatch, step):
+    """Let the change of the folder with this number, and all later ones, raise Crash; return the count of changes."""
+    counted = []
+    for name in ("rename", "unlink", "rmdir"):
+        original = getattr(Path, name)
+
+        def changed(path, *arguments, original=original, **options):
+            if path.suffix != ".lock":
+                counted.append(path)
+                if len(counted) > step:
+                    raise Crash
+            return original(path, *arguments, **options)
+
+        monkeypatch.setattr(Path, name, changed)
+    return counted
+
+
+def _contents(folder):
+    return sorted(path.read_bytes() for path in folder.rglob("*") if path.is_file())
+
+
+def test_files_of_the_user_survive_a_crash_at_each_step_of_a_replacement(tmp_path, monkeypatch):
+    for step in range(99):
+        parent = tmp_path / str(step)
+        parent.mkdir()
+        target = _replaced(parent)
+        with monkeypatch.context() as patch:
+            counted = _crash_at(patch, step)
+            with contextlib.suppress(Crash):
+                _retrieve_again(target)
+        crashed = len(counted) > step
+        assert {b"mine", b"mine too"} <= set(_contents(parent))
+        # The next use restores the folder, also if it retrieves nothing.
+        with pytest.raises(UsageError), RetrievalFolder(target, SERIES):
+            pass
+        found = _contents(target)
+        assert found in ([b"a", b"mine", b"mine too"], [b"a2", b"b", b"mine", b"mine too"]), step
+        _retrieve_again(target)
+        assert _contents(target) == [b"a2", b"b", b"mine", b"mine too"]
+        assert list(parent.iterdir()) == [target]
+        if not crashed:
+            break
+    assert step > 5
+
+
+def test_second_crash_and_a_new_file_of_the_same_name_lose_no_file(tmp_path, monkeypatch):
+    target = _replaced(tmp_path)
+    # The crash comes after the new folder has its name, before the files of the user are in it.
+    with monkeypatch.context() as patch:
+        _crash_at(patch, 2)
+        with pytest.raises(Crash):
+            _retrieve_again(target)
+    (target / "notes.txt").write_text("newer")
+    _retrieve_again(target)
+    assert _contents(target) == [b"a2", b"b", b"mine", b"mine too", b"newer"]
+    assert list(tmp_path.iterdir()) == [target]
+
+
+def test_deletion_of_all_series_leaves_files_of_the_user(tmp_path, monkeypatch):
+    target = _replaced(tmp_path)
+    (tmp_path / "list.txt").write_text("a list")
+    with monkeypatch.context() as patch:
+        _crash_at(patch, 1)
+        with pytest.raises(Crash):
+            _retrieve_again(target)
+    delete_retrieved(tmp_path, lambda: None)
+    assert _contents(tmp_path) == [b"a list", b"mine", b"mine too"]
+    assert sorted(tmp_path.iterdir()) == [tmp_path / "list.txt", target]
+
+
+def test_hidden_folders_of_long_names_differ_and_fit_into_a_file_name(tmp_path):
+    first, second = (tmp_path / ("肺" * 70 + end) for end in ("a" * 40, "b" * 40))
+    for target, uid in ((first, A), (second, B)):
+        with RetrievalFolder(target, SERIES) as folder:
+            folder.add(uid, uid.encode())
+            folder.complete([uid])
+    assert [_contents(target) for target in (first, second)] == [[A.encode()], [B.encode()]]
+    delete_retrieved(tmp_path, lambda: None)
+    assert list(tmp_path.iterdir()) == []

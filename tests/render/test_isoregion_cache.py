@@ -87,6 +87,13 @@ def small_map(n):
     return name, lambda: CachedMap((np.full((10, 12, 14), n, dtype=np.uint8),))
 
 
+def test_isoregion_map_of_another_build_of_the_compiled_module_has_another_name(monkeypatch):
+    name, _ = small_map(1)
+    before = name.full()
+    monkeypatch.setattr(isoregion_cache, "compiled_code_digest", lambda: "a corrected builder")
+    assert name.full() != before
+
+
 @pytest.mark.usefixtures("slow")
 def test_isoregion_cache_stays_below_its_limit_and_deletes_files_of_a_killed_process(tmp_path, monkeypatch):
     (tmp_path / "left.part").write_bytes(b"half a map")

@@ -3,20 +3,24 @@
 from __future__ import annotations
 
 import asyncio
+import dataclasses
 import gzip
 import threading
 import time
+from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
 from live_server import WAIT_S, Live, open_case, running, serving
 
+from carina.commands import CloseCase, SeriesFiles
 from carina.errors import DiskError
 from carina.server.files.downloads import Downloads
 from carina.server.files.uploads import Uploads
 from carina.server.wire import messages as wire
 from carina.session import CaseRecords, Session, case_files
-from small_case import SmallRenderer, small_airways, small_lumen, small_parts, small_volume
+from carina.volume import SeriesInfo
+from small_case import SMALL_ASSESSMENT, SmallRenderer, small_airways, small_lumen, small_parts, small_volume
 
 
 def test_upload_to_a_disk_that_cannot_store_it_is_refused_with_a_message(live, monkeypatch):
@@ -143,6 +147,50 @@ def test_uploaded_folder_is_deleted_after_it_was_opened(live):
         assert live.session.store.recent() == ()
 
 
+@pytest.mark.parametrize("at", ["open_volume", "assess_ct"])
+def test_dropped_series_stay_on_the_disk_while_their_ct_is_opened_and_other_files_are_dropped(tmp_path, at):
+    reached, go_on, places = threading.Event(), threading.Event(), []
+
+    def wait(name):
+        if name == at:
+            reached.set()
+            assert go_on.wait(WAIT_S)
+
+    def open_volume(path, _progress, _cancel):
+        places.append(Path(path))
+        wait("open_volume")
+        volume = small_volume()
+        others = (SeriesInfo("4", "CT", "lung", 30),)
+        return dataclasses.replace(volume, source=dataclasses.replace(volume.source, other_series=others))
+
+    def assess_ct(_volume, _airways):
+        wait("assess_ct")
+        return SMALL_ASSESSMENT
+
+    with (
+        running(tmp_path, open_volume=open_volume, assess_ct=assess_ct) as live,
+        live.http(cookie=live.cookie, origin=live.origin) as http,
+        live.window() as window,
+    ):
+        upload_id = http.post("/api/upload").json()["upload_id"]
+        for name in ("1.dcm", "2.dcm"):
+            http.put(f"/api/upload/{upload_id}", params={"name": name}, content=b"x")
+        window.send(wire.OpenUpload(upload_id))
+        assert reached.wait(WAIT_S)
+        others = [http.post("/api/upload").json()["upload_id"] for _ in range(3)]
+        stayed = len(list(places[0].iterdir()))
+        go_on.set()
+        window.until_state(lambda s: s.airways == "found")
+        # The series of the open CT can still be opened; only one of the other uploads has been replaced.
+        assert (stayed, len(list(places[0].iterdir()))) == (2, 2)
+        assert live.session.ask(SeriesFiles()) == places[0]
+        assert list(live.uploads._uploads) == [upload_id, *others[1:]]
+        window.send(CloseCase())
+        window.send(wire.OpenUpload(upload_id))
+        assert window.until(lambda m: isinstance(m, wire.Error)).code == "upload.gone"
+        assert not places[0].exists()
+
+
 def test_dropped_case_file_retains_its_suffix_and_is_opened_as_a_case(tmp_path):
     records = CaseRecords(tmp_path / "cases", lambda: 1_800_000_000.0)
     session = Session(SmallRenderer, parts=small_parts(), records=records, files=case_files(None, records))
@@ -196,6 +244,8 @@ def test_dropped_mask_is_stored_until_a_structure_is_selected_and_then_replaces_
         question = window.until_state(lambda s: s.mask_question is not None)
         assert [label.number for label in question.mask_question.labels] == [1, 3]
         assert (question.airways_from, question.can_undo) == ("search", None)
+        for _ in range(2):
+            live.uploads.begin()
         assert [p.suffix for p in folder.iterdir()] == [".nrrd"]
         window.send(wire.AnswerMask(3, False))
         taken = window.until_state(lambda s: s.airways_from == "mask")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import threading
 from pathlib import Path
 
 import numpy as np
@@ -149,6 +150,31 @@ def test_attempt_breathes_on_its_own_clock_and_the_recording_scores_the_same(wor
     # The frames of a growing flight are scored once; all at once they have the same score.
     scorer = FlightScorer(airways.tree, wall, find_task("find-rb6"))
     assert scorer.score(again).to_json() == scored.to_json()
+
+
+@pytest.mark.parametrize("during", [False, True])
+def test_breathing_ends_with_the_task_and_the_next_attempt_is_without_it(workstation, during):
+    session = workstation.session
+    moved = []
+    session.subscribe(lambda event: moved.append(event) if isinstance(event, ChestMoved) else None)
+    if not during:
+        session.do(SetBreathing(on=True, movement_mm=18.0, period_s=4.0))
+    workstation.start("find-rb6")
+    if during:
+        session.do(SetBreathing(on=True, movement_mm=18.0, period_s=4.0))
+    workstation.advance_tip(20.0)
+    assert session.snapshot().breathing.on
+    session.do(StopTask())
+    breathing = session.snapshot().breathing
+    assert (breathing.on, breathing.movement_mm, breathing.period_s) == (False, 18.0, 4.0)
+    assert shown(workstation)[0].lps_from_rest is None
+    until(lambda: all(thread.name != "carina-breathing" for thread in threading.enumerate()))
+    number = len(moved)
+    workstation.scored()
+    assert len(moved) == number
+    session.do(SetBreathing(on=True, movement_mm=18.0, period_s=4.0))
+    assert session.snapshot().breathing.on, "the switch of the live flight works without a task"
+    session.do(SetBreathing(on=False))
 
 
 def test_replayed_flight_shows_its_own_breathing(workstation):

@@ -6,6 +6,7 @@ import io
 import json
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,9 +15,10 @@ from scripted_flights import Script, recording_text
 from carina.breathing import Breathing, ChestFrame, ChestMotion
 from carina.errors import VolumeImportError
 from carina.navigate.recording import read_recording
-from carina.scopes import Pose
+from carina.scopes import Pose, WallField
+from carina.session.training.live_attempt import LiveAttempt
 from carina.training import find_task, flight_frames, score_flight
-from carina.training.flight_frames import FlightFrames
+from carina.training.flight_frames import KnownFrames
 from carina.training.handling import CentrelineIndex, tip_places
 from carina.training.mastery import judge_mastery
 from carina.training.openings_in_sight import BranchOpening, branch_openings, openings_in_sight
@@ -65,7 +67,7 @@ def test_openings_in_sight_of_a_moved_patient_are_those_of_the_explicitly_moved_
     moved = Breathing.of_movement(40.0, 3.6).at(1.8, ChestFrame.of_tree(chest.tree))
     still = flight_frames(read(text))
     breathing = flight_frames(read(with_breathing(text, chest, Breathing())))
-    monkeypatch.setattr(FlightFrames, "deformation", lambda frames, _n: moved if frames.motions else None)
+    monkeypatch.setattr(ChestMotion, "at", lambda _motion, _clock_s: moved)
     carried = replace(still, lps_from_tip=breathing.cameras())
     ids = [one.branch_ids[0] for one in segments_of_case(chest.tree)]
     openings = branch_openings(chest.tree, ids, chest.wall)
@@ -135,3 +137,70 @@ def test_recording_with_an_invalid_breathing_is_refused(text, chest, change):
     broken = "\n".join([lines[0], json.dumps({"t": 0.0, "breathing": document}), *lines[1:]]) + "\n"
     with pytest.raises(VolumeImportError, match="line 2"):
         read(broken)
+
+
+def test_results_of_known_frames_are_computed_once_and_are_equal_bit_for_bit(text, chest, monkeypatch):
+    whole = flight_frames(read(with_breathing(text, chest, Breathing(coughs_s=(1.0,)))))
+    num, known, counted, computed = len(whole.lps_from_tip), KnownFrames(), [], []
+    deformed = WallField.deformed
+
+    def counting(wall, deformation):
+        counted.append(deformation)
+        return deformed(wall, deformation)
+
+    def results(frames):
+        return [
+            frames.tips_to_wall_mm(chest.wall),
+            frames.tips_to_wall_mm(chest.wall, ball=True),
+            frames.cameras(),
+        ]
+
+    monkeypatch.setattr(WallField, "deformed", counting)
+    for part in (num // 2, num, num):
+        frames = replace(
+            whole,
+            lps_from_tip=whole.lps_from_tip[:part],
+            pose_number=whole.pose_number[:part],
+            optics_number=whole.optics_number[:part],
+            known=known,
+        )
+        counted.clear()
+        found, num_computed = results(frames), len(counted)
+        counted.clear()
+        for one, expected in zip(found, results(replace(frames, known=KnownFrames())), strict=True):
+            np.testing.assert_array_equal(one, expected)
+        computed.append((num_computed, len(counted)))
+    (half, half_alone), (rest, all_alone), again = computed
+    assert 0 < half == half_alone < all_alone
+    assert rest == all_alone - half
+    assert again == (0, all_alone)
+    # Another pose, another motion and another wall are not known.
+    at_s, motion = whole.motions[0]
+    moved = whole.lps_from_tip.copy()
+    moved[:, 0, 3] += 0.5
+    later = replace(motion, breathing=Breathing.of_movement(25.0, 3.0))
+    for other in (replace(frames, lps_from_tip=moved), replace(frames, motions=((at_s, later),)), frames):
+        for one, expected in zip(results(other), results(replace(other, known=KnownFrames())), strict=True):
+            np.testing.assert_array_equal(one, expected)
+
+
+def test_live_score_in_a_simulated_breathing_computes_new_frames_only(chest, monkeypatch):
+    counted = []
+    deformed = WallField.deformed
+    monkeypatch.setattr(WallField, "deformed", lambda wall, at: counted.append(at) or deformed(wall, at))
+    root = chest.tree.root
+    pose = Pose.looking(root.points[-1], root.points[-1] - root.points[0])
+    airways = SimpleNamespace(tree=chest.tree)
+    optics = flight_frames(read(recording_text([pose.lps_from_camera] * 3, chest.volume))).optics[0]
+    attempt = LiveAttempt(
+        find_task("inspect-all"), airways, chest.wall, optics=optics, flight=1, begun_s=0.0, pose=pose
+    )
+    attempt.note_breathing(ChestMotion(Breathing(), ChestFrame.of_tree(chest.tree), 0.0), 0.0)
+    numbers = []
+    for now_s in (3.0, 6.0, 9.0):
+        counted.clear()
+        attempt.sample(pose, now_s)
+        attempt.update_score(now_s)
+        numbers.append(len(counted))
+    assert numbers[0] > 0
+    assert max(numbers) < 1.3 * numbers[0]

@@ -20,6 +20,7 @@ import grid_writers
 import numpy as np
 import pytest
 
+from carina import _core
 from carina.disk import disk_trouble
 from carina.disk.locks import try_lock
 from carina.errors import CancelledError, VolumeImportError
@@ -28,6 +29,7 @@ from carina.volume import (
     Volume,
     VolumeCache,
     cache,
+    code_digest,
     ct_digest,
     demo_patient,
     open_volume,
@@ -372,7 +374,7 @@ def test_cache_record_of_another_carina_version_is_replaced_and_its_voxels_are_r
     digest = open_and_cache(volume_cache, path)
     (voxels,) = files(folder, SUFFIX)
     before = voxels.stat().st_ino
-    monkeypatch.setattr(cache, "_reader_digest", lambda: "a newer one")
+    monkeypatch.setattr(cache, "reader_digest", lambda: "a newer one")
     assert volume_cache.find(path) is None
     assert volume_cache.find_digest(digest) is None
     open_and_cache(volume_cache, path)
@@ -381,9 +383,42 @@ def test_cache_record_of_another_carina_version_is_replaced_and_its_voxels_are_r
     assert voxels.stat().st_ino == before
 
 
-def test_fingerprint_of_the_import_code_is_equal_at_each_computation():
-    assert cache._reader_digest() == cache._reader_digest()
-    assert len(cache._reader_digest()) == 32
+@pytest.fixture
+def forget_digests():
+    """Return a function that makes the digests of the code be computed again, as in another process."""
+
+    def forget():
+        code_digest.compiled_code_digest.cache_clear()
+        code_digest.reader_digest.cache_clear()
+
+    yield forget
+    forget()
+
+
+def test_ct_that_another_build_of_the_compiled_module_read_is_not_used(
+    volume_cache, tmp_path, monkeypatch, forget_digests
+):
+    path = chest_file(tmp_path)
+    open_and_cache(volume_cache, path)
+    build = tmp_path / "_core.so"
+    shutil.copyfile(_core.__file__, build)
+    forget_digests()
+    with monkeypatch.context() as patch:
+        patch.setattr(_core, "__file__", str(build))
+        assert volume_cache.find(path) is not None
+        with build.open("ab") as file:
+            file.write(b"a corrected decoder")
+        forget_digests()
+        assert volume_cache.find(path) is None
+
+
+def test_compiled_module_is_not_read_when_carina_is_imported():
+    script = (
+        "import carina, carina.cli, carina.volume.cache\n"
+        "from carina.volume.code_digest import compiled_code_digest\n"
+        "assert compiled_code_digest.cache_info().currsize == 0\n"
+    )
+    subprocess.run([sys.executable, "-c", script], check=True)
 
 
 def test_least_recently_used_ct_is_removed_when_the_cache_is_full(folder, clock, tmp_path):

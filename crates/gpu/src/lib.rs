@@ -5,7 +5,7 @@
 //! (`airway.wgsl`), because a texture unit interpolates with 8-bit weights, which would create false walls.
 //!
 //! Without the feature `wgpu` this crate is empty and uses neither wgpu nor a driver. With the feature, drivers are
-//! loaded when [`adapters`] or [`Gpu::open`] is called, not before.
+//! loaded when `adapters` or `Gpu::open` is called, not before.
 #![cfg(feature = "wgpu")]
 
 mod adapter;

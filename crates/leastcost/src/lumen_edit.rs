@@ -256,7 +256,7 @@ fn with_first_of_equals(graph: &LumenGraph, tracker: &Tracker) -> Tracker {
 
 /// Compute the least costs after an edit from those before the edit.
 ///
-/// `tracker` must be that of `old_graph`. The result equals [`solved`] on the edited graph.
+/// `tracker` must be that of `old_graph`. The result equals [`costs_from_scratch`] on the edited graph.
 ///
 /// # Errors
 ///

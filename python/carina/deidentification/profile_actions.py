@@ -7,7 +7,6 @@ data and unknown attributes.
 from __future__ import annotations
 
 import re
-import warnings
 from collections.abc import Iterator
 from typing import Any
 
@@ -20,6 +19,7 @@ from pydicom.tag import BaseTag
 from carina.deidentification.profile_table import ACTIONS, KEPT_BINARY, KEPT_TEXT
 from carina.deidentification.pseudonyms import Pseudonyms
 from carina.version import VERSION
+from carina.volume.without_warnings import without_warnings
 
 __all__ = ["clean_dataset"]
 
@@ -57,8 +57,7 @@ def clean_dataset(dataset: Dataset, names: Pseudonyms, *, masked: bool) -> None:
     masked
         Whether burned-in text was masked in the pixels.
     """
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # warnings of pydicom may quote a value
+    with without_warnings():  # warnings of pydicom may quote a value
         identity = tuple(_text(dataset, keyword) for keyword in ("PatientID", "PatientName", "PatientBirthDate"))
         alias = names.patient(identity)
         terms = frozenset(_terms(dataset))

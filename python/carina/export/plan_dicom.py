@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import datetime
 import io
-import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -38,6 +37,7 @@ from carina.volume.digest import Geometry
 from carina.volume.io_errors import guarded
 from carina.volume.opening import find_in, place_name
 from carina.volume.progress import Watch
+from carina.volume.without_warnings import without_warnings
 
 Identity = Literal["from the CT", "none"]
 """Identity in a file: name, number, birth date and study of the CT, or none of them."""
@@ -215,8 +215,7 @@ def _referable(path: Path, series: FoundSeries) -> CtImages:
         for keyword in doubtful & set(_WHOSE):
             del dataset[keyword]
         # The names are decoded from the character set of the file, because Carina writes UTF-8.
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
+        with without_warnings():
             dataset.decode()
     except Exception as error:  # pydicom raises many kinds of errors on damaged elements
         raise VolumeImportError(
@@ -295,9 +294,8 @@ def new_object(
     data = Dataset()
     data.SpecificCharacterSet = "ISO_IR 192"
     data.SOPClassUID, data.SOPInstanceUID = kind, generate_uid(prefix=None)
-    with warnings.catch_warnings():
+    with without_warnings():
         # Values are copied as they are in the CT; a warning would quote them.
-        warnings.simplefilter("ignore")
         for keyword in _WHOSE:
             value = None if images is None or identity == "none" else images.first.get(keyword)
             if value not in (None, "") or keyword in _NEVER_LEFT_OUT:
@@ -397,7 +395,6 @@ def file_bytes(data: Dataset) -> bytes:
     data.file_meta = meta
     content = io.BytesIO()
     # A warning would quote values of the patient.
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
+    with without_warnings():
         data.save_as(content, enforce_file_format=True)
     return content.getvalue()

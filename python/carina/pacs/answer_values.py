@@ -2,26 +2,14 @@
 
 from __future__ import annotations
 
-import contextlib
-import warnings
-from collections.abc import Iterator
 from typing import Any
 
 from pydicom.dataset import Dataset
 from pydicom.multival import MultiValue
 
-__all__ = ["text_list", "text_value", "value_of", "whole_value", "without_warnings"]
+from carina.volume.without_warnings import without_warnings
 
-
-@contextlib.contextmanager
-def without_warnings() -> Iterator[None]:
-    """Suppress warnings during the block, because pydicom quotes invalid values, such as a birth date, on stderr.
-
-    The filters of warnings belong to all threads, so a block must be short and contain no request to the network.
-    """
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        yield
+__all__ = ["text_list", "text_value", "value_of", "whole_value"]
 
 
 def value_of(dataset: Dataset, keyword: str) -> Any:

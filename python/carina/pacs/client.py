@@ -11,7 +11,7 @@ from pydicom.dataset import Dataset
 from carina.argument_checks import check_arguments, file_path, flag, function, instance, text_of, whole_from
 from carina.display.progress import ProgressChoice, progress_function, shows_progress
 from carina.errors import PacsError, UsageError
-from carina.pacs.answer_values import text_list, text_value, whole_value, without_warnings
+from carina.pacs.answer_values import text_list, text_value, whole_value
 from carina.pacs.connections import PacsConnection
 from carina.pacs.dimse_client import DimseClient
 from carina.pacs.limits import MAX_SERIES_IMAGES, too_large
@@ -23,6 +23,7 @@ from carina.volume.dicom_headers import read_dataset
 from carina.volume.dicom_signature import looks_like_dicom
 from carina.volume.progress import Watch
 from carina.volume.read_limits import MAX_FILES
+from carina.volume.without_warnings import without_warnings
 
 __all__ = ["check_connection", "client_of", "find_series", "find_studies", "retrieve_series", "store_files"]
 

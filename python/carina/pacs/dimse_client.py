@@ -14,13 +14,13 @@ from typing import Any
 from pydicom.dataset import Dataset
 
 from carina.errors import CarinaError, PacsError
-from carina.pacs.answer_values import without_warnings
 from carina.pacs.connections import PacsConnection
 from carina.pacs.limits import MAX_ANSWER_BYTES, MAX_PDU_BYTES, limit_socket, too_large
 from carina.pacs.reasons import CONNECT_S, check_port, missing_library, offline, tls_context
 from carina.pacs.results import CheckStep
 from carina.pacs.retrieval_folder import RetrievalFolder, part10
 from carina.volume.progress import Watch
+from carina.volume.without_warnings import without_warnings
 
 __all__ = ["DimseClient"]
 

@@ -2,12 +2,18 @@
 
 An interrupted retrieval therefore never opens as a whole series, and continues with the images that are missing. A lock
 file beside the folder excludes other jobs and processes.
+
+A folder that is replaced has a hidden name until the files of the user that it contains are in the new folder. The next
+use of the folder completes or undoes a replacement that a crash has interrupted. Only files that Carina wrote are
+deleted: images and drafts.
 """
 
 from __future__ import annotations
 
 import contextlib
+import errno
 import hashlib
+import itertools
 import os
 import re
 import shutil
@@ -29,7 +35,9 @@ __all__ = ["RetrievalFolder", "delete_retrieved", "part10"]
 
 _MIN_FREE_BYTES = 512 << 20
 _IMAGE = re.compile(r"[0-9a-f]{32}\.dcm")
+_WRITTEN = re.compile(rf"{_IMAGE.pattern}|\.carina-[0-9a-f]+\.draft")
 _HIDDEN = re.compile(r"\.(?P<target>.+?)(\.[0-9a-f]{12}\.(incomplete|replaced)|\.lock)")
+_MAX_STEM_BYTES = 180  # a file name has at most 255 bytes
 
 
 class RetrievalFolder:
@@ -61,16 +69,17 @@ class RetrievalFolder:
         self.max_image_bytes = max_image_bytes
         self._replaces = replaces
         mark = hashlib.sha256(series_uid.encode()).hexdigest()[:12]
-        self._part = folder.with_name(f".{folder.name[:80]}.{mark}.incomplete")
-        self._replaced = folder.with_name(f".{folder.name[:80]}.{mark}.replaced")
+        self._part = folder.with_name(f".{_stem(folder)}.{mark}.incomplete")
+        self._replaced = folder.with_name(f".{_stem(folder)}.{mark}.replaced")
         self._names: set[str] = set()
         self._num_bytes = 0
         self._lock = contextlib.ExitStack()
 
     def __enter__(self) -> Self:
-        """Take the lock, and find the images of an interrupted retrieval."""
+        """Take the lock, recover from an interrupted replacement, and find the images of an interrupted retrieval."""
         with contextlib.ExitStack() as stack:
             stack.enter_context(_locked(self.target))
+            _recover(self.target)
             is_folder = self.target.is_dir() and not self.target.is_symlink()
             if os.path.lexists(self.target) and not (self._replaces and is_folder):
                 raise UsageError(f"pacs: {self.target} exists; name a new folder", code="pacs.folder")
@@ -146,7 +155,7 @@ class RetrievalFolder:
             )
         try:
             for path in self._part.iterdir():
-                if path.name not in wanted:
+                if _WRITTEN.fullmatch(path.name) and path.name not in wanted:
                     path.unlink()
             self._place()
             sync_folder(self.target.parent)
@@ -155,28 +164,24 @@ class RetrievalFolder:
 
     def _place(self) -> None:
         """Rename the hidden folder to its name, in place of an existing folder; files of the user stay in it."""
-        if not os.path.lexists(self.target):
-            self._part.rename(self.target)
-            return
-        shutil.rmtree(self._replaced, ignore_errors=True)
-        self.target.rename(self._replaced)
+        if os.path.lexists(self.target):
+            self.target.rename(self._replaced)
         try:
             self._part.rename(self.target)
         except OSError:
-            self._replaced.rename(self.target)
+            _recover(self.target)
             raise
-        for path in self._replaced.iterdir():
-            if not _IMAGE.fullmatch(path.name):
-                path.rename(self.target / path.name)
-        shutil.rmtree(self._replaced, ignore_errors=True)
+        sync_folder(self.target.parent)
+        _recover(self.target)
 
     def discard(self) -> None:
         """Remove the hidden folder with all images."""
-        shutil.rmtree(self._part, ignore_errors=True)
+        with contextlib.suppress(OSError):
+            _delete_written(self._part)
 
 
 def delete_retrieved(folder: Path, check: Callable[[], None]) -> None:
-    """Delete every series in the folder of the retrieved series, complete or not.
+    """Delete every series in the folder of the retrieved series, complete or not; files of the user stay.
 
     Parameters
     ----------
@@ -200,15 +205,14 @@ def delete_retrieved(folder: Path, check: Callable[[], None]) -> None:
         raise disk_trouble(error, "cannot delete the retrieved series", folder) from error
     for path in entries:
         hidden = _HIDDEN.fullmatch(path.name)
-        with _locked(folder / (path.name if hidden is None else hidden["target"])):
+        target = folder / (path.name if hidden is None else hidden["target"])
+        with _locked(target):  # the end of the block deletes a lock file that a crash has left
             check()
-            if path.suffix == ".lock":
-                continue  # the end of the block deletes this file
+            _recover(target)
             try:
-                if path.is_dir() and not path.is_symlink():
-                    shutil.rmtree(path)
-                else:
-                    path.unlink(missing_ok=True)
+                for place in (target, path):
+                    if place.is_dir() and not place.is_symlink():
+                        _delete_written(place)
             except OSError as error:
                 raise disk_trouble(error, "cannot delete the retrieved series", path) from error
 
@@ -227,7 +231,7 @@ def _locked(target: Path) -> Iterator[None]:
     make_folder(target.parent, what="the images", private=True)
     with contextlib.ExitStack() as stack:
         try:
-            is_held = stack.enter_context(lock_file(target.with_name(f".{target.name[:80]}.lock")))
+            is_held = stack.enter_context(lock_file(target.with_name(f".{_stem(target)}.lock")))
         except OSError as error:
             raise disk_trouble(error, "cannot lock the folder", target) from error
         if not is_held:
@@ -244,6 +248,58 @@ def _images_in(folder: Path) -> set[str]:
         return {path.name for path in folder.iterdir() if _IMAGE.fullmatch(path.name)}
     except (FileNotFoundError, NotADirectoryError):
         return set()
+
+
+def _stem(target: Path) -> str:
+    """Return the part that all hidden names of a folder share: its name, shortened if it is very long."""
+    name = os.fsencode(target.name)
+    if len(name) <= _MAX_STEM_BYTES:
+        return target.name
+    return f"{name[:150].decode(errors='ignore')}-{hashlib.sha256(name).hexdigest()[:12]}"
+
+
+def _recover(target: Path) -> None:
+    """Complete a replacement of a folder, or undo it if the new folder is missing; the caller holds the lock.
+
+    Raises
+    ------
+    DiskError
+        If a file of the user cannot be moved; it stays where it is, and the next call tries again.
+    """
+    try:
+        found = [(path, _HIDDEN.fullmatch(path.name)) for path in target.parent.iterdir()]
+        for replaced, hidden in found:
+            if hidden is None or hidden[3] != "replaced" or hidden["target"] != _stem(target):
+                continue
+            if not os.path.lexists(target):
+                replaced.rename(target)
+                continue
+            for path in replaced.iterdir():
+                if not _WRITTEN.fullmatch(path.name):
+                    path.rename(_free_place(target, path))
+            sync_folder(target)
+            with contextlib.suppress(OSError):  # an image is open (Windows): the next call deletes it
+                _delete_written(replaced)
+    except OSError as error:
+        raise disk_trouble(error, "cannot restore the files of the folder", target) from error
+
+
+def _free_place(folder: Path, path: Path) -> Path:
+    """Return a place for a file in a folder: its own name, or one with a number if the folder has such a file."""
+    numbered = (path.name if n == 1 else f"{path.stem} ({n}){path.suffix}" for n in itertools.count(1))
+    return next(place for name in numbered if not os.path.lexists(place := folder / name))
+
+
+def _delete_written(folder: Path) -> None:
+    """Delete the images and drafts of a folder, and the folder itself if it contains nothing else."""
+    for path in folder.iterdir():
+        if _WRITTEN.fullmatch(path.name):
+            path.unlink(missing_ok=True)
+    try:
+        folder.rmdir()
+    except OSError as error:
+        if error.errno not in (errno.ENOTEMPTY, errno.EEXIST):
+            raise
 
 
 def part10(sop_class: str, sop_uid: str, syntax: str, dataset: bytes) -> bytes:

@@ -15,13 +15,14 @@ from typing import Any
 from pydicom.dataset import Dataset
 
 from carina.errors import CarinaError, PacsError
-from carina.pacs.answer_values import text_value, value_of, whole_value, without_warnings
+from carina.pacs.answer_values import text_value, value_of, whole_value
 from carina.pacs.connections import PacsConnection
 from carina.pacs.limits import MAX_ANSWER_BYTES, too_large
 from carina.pacs.reasons import certificate_error, missing_library, offline
 from carina.pacs.results import CheckStep
 from carina.pacs.retrieval_folder import RetrievalFolder
 from carina.volume.progress import Watch
+from carina.volume.without_warnings import without_warnings
 
 __all__ = ["WebClient"]
 
@@ -180,7 +181,8 @@ class WebClient:
             watch.step("Retrieving the images", index / len(images))
             if uid in folder:
                 continue
-            with self._request():
+            # The library parses the image in this call.
+            with self._request(), without_warnings():
                 image = self._client.retrieve_instance(
                     study_uid, series_uid, uid, media_types=(("application/dicom", "*"),)
                 )

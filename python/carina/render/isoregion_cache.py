@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 
 from carina import _core
 from carina.disk import drafted, make_folder
+from carina.volume.code_digest import compiled_code_digest
 
 logger = logging.getLogger(__name__)
 
@@ -50,11 +51,11 @@ class MapName:
 
     @property
     def stem(self) -> str:
-        """First part of the map's file name, from the classes and the shape.
+        """First part of the map's file name, from the classes, the shape and the code that builds maps.
 
         The first part is computed without reading the voxels.
         """
-        text = repr((MAP_VERSION, self.values_zyx.shape, self.classes))
+        text = repr((MAP_VERSION, compiled_code_digest(), self.values_zyx.shape, self.classes))
         return hashlib.blake2b(text.encode(), digest_size=10).hexdigest()
 
     def full(self) -> str:

@@ -291,7 +291,6 @@ class Hub:
             if upload_id is not None and self._uploads.contains(upload_id, self.session.ask(SeriesFiles())):
                 # The user may open another one of the dropped series, as long as a case of them is open.
                 before, self._series_upload = self._series_upload, upload_id
-                self._uploads.retain(upload_id)
                 if before is not None and before != upload_id:
                     self._uploads.discard(before)
             elif upload_id is not None:
@@ -417,10 +416,15 @@ class Hub:
         self._stop_following_classroom()
 
     def _start_upload_job(self, command: Command, upload_id: str, window: Window) -> None:
-        """Start a job that reads dropped files, which are deleted after the job has ended or if it is refused."""
+        """Start a job that reads dropped files, which are deleted after the job has ended or if it is refused.
+
+        Uploads that begin meanwhile do not replace these files. The limit of uploads still bounds the disk, because
+        a job replaces the running job of the same kind.
+        """
+        self._uploads.retain(upload_id)
         try:
             job_id = self.session.do(command, window=window.number)
-        except CarinaError:
+        except BaseException:
             self._uploads.discard(upload_id)
             raise
         assert job_id is not None
@@ -433,9 +437,10 @@ class Hub:
         """
         place = self._uploads.place(upload_id)
         before, self._mask_upload = self._mask_upload, None
+        self._uploads.retain(upload_id)
         try:
             self.session.do(TakeMask(str(place)), window=window.number)
-        except CarinaError:
+        except BaseException:
             self._uploads.discard(upload_id)
             raise
         finally:

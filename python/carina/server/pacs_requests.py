@@ -365,18 +365,22 @@ def _retrieved() -> tuple[int, int, str]:
     count = num_bytes = 0
     if folder.is_dir():
         for place in filter(Path.is_dir, folder.iterdir()):
-            count += not place.name.startswith(".")
-            num_bytes += _bytes_in(place)
+            num = _bytes_in(place)
+            count += num > 0 and not place.name.startswith(".")
+            num_bytes += num
     return count, num_bytes, str(folder)
 
 
 def _bytes_in(folder: Path) -> int:
-    """Return the bytes of a folder's files; a retrieval may rename or delete files in the meantime."""
+    """Return the bytes of a folder's images, without files of the user.
+
+    A retrieval may rename or delete files in the meantime.
+    """
     num_bytes = 0
     with contextlib.suppress(OSError), os.scandir(folder) as entries:
         for entry in entries:
             with contextlib.suppress(OSError):
-                num_bytes += entry.stat().st_size if entry.is_file() else 0
+                num_bytes += entry.stat().st_size if entry.name.endswith(".dcm") and entry.is_file() else 0
     return num_bytes
 
 

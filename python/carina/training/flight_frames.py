@@ -53,6 +53,51 @@ class FlightOptics:
         return self.fov_deg > self.scope.usual_fov_deg + 0.5
 
 
+@dataclass(slots=True)
+class _KnownFrame:
+    """Results of one frame for one pose of the tip and one motion of the chest."""
+
+    pose: bytes
+    motion: ChestMotion
+    deformation: ChestDeformation | None
+    """Deformation of the chest; None if the chest is at rest."""
+    to_wall_mm: dict[bool, float] = field(default_factory=dict)
+    """Distances to the wall that were computed, by the argument ``ball`` of :meth:`FlightFrames.tips_to_wall_mm`."""
+    carried: Poses | None = None
+    """Pose (4, 4) of the tip in the moved patient, if it was computed."""
+
+
+class KnownFrames:
+    """Results of the frames of one flight with a simulated breathing, which are computed once while the flight grows.
+
+    A result is used only for the same pose, motion and wall, so all results are those without a cache, bit for bit.
+    """
+
+    def __init__(self) -> None:
+        self._frames: dict[int, _KnownFrame] = {}
+        self._wall: WallField | None = None
+
+    def __repr__(self) -> str:
+        """Return the number of frames with results."""
+        return f"KnownFrames({len(self._frames)})"
+
+    def frame(self, n: int, pose: NDArray[np.float64], motion: ChestMotion) -> _KnownFrame:
+        """Return the results of frame ``n`` for a pose (4, 4) and a motion; without results if one of them is new."""
+        found, content = self._frames.get(n), pose.tobytes()
+        if found is None or found.pose != content or (found.motion is not motion and found.motion != motion):
+            deformation = motion.at(n / FRAME_HZ)
+            found = _KnownFrame(content, motion, None if deformation.is_rest else deformation)
+            self._frames[n] = found
+        return found
+
+    def use_wall(self, wall: WallField) -> None:
+        """Forget the distances to another wall."""
+        if wall is not self._wall:
+            self._wall = wall
+            for one in self._frames.values():
+                one.to_wall_mm.clear()
+
+
 @one_line
 @dataclass(frozen=True, slots=True, eq=False)
 class FlightFrames:
@@ -75,6 +120,8 @@ class FlightFrames:
     """Pauses: time from the start of the recording, which excludes pauses, and length, both in s."""
     motions: tuple[tuple[float, ChestMotion | None], ...] = ()
     """Changes of the simulated breathing (`carina.navigate.Recording.motions`); empty without breathing."""
+    known: KnownFrames = field(default_factory=KnownFrames, repr=False)
+    """Results that are already computed, which the frames of one flight share while it grows."""
 
     @property
     def times_s(self) -> NDArray[np.float64]:
@@ -83,17 +130,21 @@ class FlightFrames:
 
     def deformation(self, n: int) -> ChestDeformation | None:
         """Return the deformation of the chest at a frame; None if the chest is at rest."""
+        found = self._known_frame(n)
+        return None if found is None else found.deformation
+
+    def _known_frame(self, n: int) -> _KnownFrame | None:
+        """Return the results of a frame with a simulated breathing; None without breathing."""
         time_s = n / FRAME_HZ
         motion = next((one for at_s, one in reversed(self.motions) if at_s <= time_s + 1e-9), None)
-        found = None if motion is None else motion.at(time_s)
-        return None if found is None or found.is_rest else found
+        return None if motion is None else self.known.frame(n, self.lps_from_tip[n], motion)
 
-    def deformations(self) -> Iterator[tuple[int, ChestDeformation]]:
-        """Yield the frames in which the chest is not at rest, with its deformation."""
+    def _moved_frames(self) -> Iterator[tuple[int, ChestDeformation, _KnownFrame]]:
+        """Yield the frames in which the chest is not at rest, with its deformation and the known results."""
         for n in range(len(self.lps_from_tip) if self.motions else 0):
-            found = self.deformation(n)
-            if found is not None:
-                yield n, found
+            found = self._known_frame(n)
+            if found is not None and found.deformation is not None:
+                yield n, found.deformation, found
 
     def tips_to_wall_mm(self, wall: WallField, *, ball: bool = False) -> NDArray[np.float64]:
         """Return the distance (n,) in mm from the tip to the wall at each frame, in the moved patient.
@@ -102,9 +153,12 @@ class FlightFrames:
         """
         at = self.lps_from_tip[:, :3, 3]
         found = wall.ball_mm(at) if ball else wall.distance_mm(at)
-        for n, deformation in self.deformations():
-            moved, point = wall.deformed(deformation), deformation.points(at[n])
-            found[n] = (moved.ball_mm(point) if ball else moved.distance_mm(point))[0]
+        self.known.use_wall(wall)
+        for n, deformation, known in self._moved_frames():
+            if ball not in known.to_wall_mm:
+                moved, point = wall.deformed(deformation), deformation.points(at[n])
+                known.to_wall_mm[ball] = float((moved.ball_mm(point) if ball else moved.distance_mm(point))[0])
+            found[n] = known.to_wall_mm[ball]
         return found
 
     def pose_digest(self) -> str:
@@ -127,8 +181,10 @@ class FlightFrames:
         found = self.lps_from_tip
         if self.motions:
             found = found.copy()
-            for n, deformation in self.deformations():
-                found[n] = Pose(found[n]).carried_by(deformation).lps_from_camera
+            for n, deformation, known in self._moved_frames():
+                if known.carried is None:
+                    known.carried = Pose(found[n]).carried_by(deformation).lps_from_camera
+                found[n] = known.carried
         if all(one.scope.view_up_deg == 0.0 for one in self.optics):
             return found
         found = found.copy()

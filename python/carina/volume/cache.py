@@ -13,7 +13,6 @@ a file that is truncated, altered, or written by another version of Carina is no
 from __future__ import annotations
 
 import contextlib
-import functools
 import hashlib
 import logging
 import os
@@ -36,7 +35,7 @@ from carina.display import one_line
 from carina.display.progress import ProgressChoice, progress_function, shows_progress
 from carina.errors import CancelledError, CarinaError
 from carina.typed_reading import read_json
-from carina.version import VERSION
+from carina.volume.code_digest import reader_digest
 from carina.volume.digest import canonical_axes, ct_digest
 from carina.volume.io_errors import guarded
 from carina.volume.model import Volume, VolumeSource
@@ -534,7 +533,7 @@ class VolumeCache:
             _remove(place)
 
     def _cached_ct(self, record: _Record) -> CachedCt | None:
-        if record.made_by != _reader_digest() or not (self._folder / record.voxels.file_name).is_file():
+        if record.made_by != reader_digest() or not (self._folder / record.voxels.file_name).is_file():
             return None
         return CachedCt(self, record)
 
@@ -574,21 +573,6 @@ class VolumeCache:
             os.utime(path, (now_s, now_s))
 
 
-@functools.cache
-def _reader_digest() -> str:
-    """Return a digest of the code and libraries that read volumes; a volume read by other code is not used."""
-    import importlib.metadata  # slow to load, and called once
-
-    found = hashlib.blake2b(VERSION.encode(), digest_size=16)
-    for source in sorted(Path(__file__).parent.glob("*.py")):
-        found.update(source.name.encode())
-        found.update(source.read_bytes())
-    for decoder in ("pydicom", "python-gdcm", "numpy", "av"):
-        with contextlib.suppress(importlib.metadata.PackageNotFoundError):
-            found.update(importlib.metadata.version(decoder).encode())
-    return found.hexdigest()
-
-
 def _source_name(path: Path, series: str | None) -> str:
     found = hashlib.blake2b(os.fsencode(path), digest_size=20, person=b"carina source")
     found.update(b"" if series is None else b"\0" + series.encode())
@@ -597,7 +581,7 @@ def _source_name(path: Path, series: str | None) -> str:
 
 def _record_of(volume: Volume, source: CtSource) -> _Record:
     return _Record(
-        made_by=_reader_digest(),
+        made_by=reader_digest(),
         voxels=VoxelName(ct_digest(volume), canonical_axes(volume.lps_from_ijk).letters, volume.shape_zyx),
         lps_from_ijk=tuple(tuple(row) for row in volume.lps_from_ijk.tolist()),
         is_hu=volume.is_hu,

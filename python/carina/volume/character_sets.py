@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import re
 import unicodedata
-import warnings
 from collections.abc import Iterator
 from typing import Any
 
@@ -19,6 +18,8 @@ from pydicom.dataelem import RawDataElement
 from pydicom.dataset import Dataset
 from pydicom.sequence import Sequence
 from pydicom.tag import BaseTag, Tag
+
+from carina.volume.without_warnings import without_warnings
 
 _UTF_8 = "ISO_IR 192"
 _SPECIFIC_CHARACTER_SET = Tag("SpecificCharacterSet")
@@ -62,8 +63,7 @@ def settle_character_set(dataset: Dataset) -> None:
         corrected = [_UTF_8] if _is_utf_8(list(_texts(dataset))) else ["ISO_IR 6"]
     if corrected == (written or ["ISO_IR 6"]):
         return
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # pydicom quotes the unknown name
+    with without_warnings():  # pydicom quotes the unknown name
         dataset.SpecificCharacterSet = corrected if len(corrected) > 1 else corrected[0]
         _set_encodings(dataset, [python_encoding[name] for name in corrected])
 

@@ -12,7 +12,6 @@ import functools
 import logging
 import math
 import re
-import warnings
 import zlib
 from collections.abc import Callable, Hashable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
@@ -33,6 +32,7 @@ from carina.volume.dicom_frames import described_frames, each_frame, is_enhanced
 from carina.volume.dicom_modality_lut import ModalityLut, read_modality_lut
 from carina.volume.model import MAX_THICKNESS_MM
 from carina.volume.padding import PaddingRange, padding_ranges
+from carina.volume.without_warnings import without_warnings
 
 # pydicom logs odd values, which may be a name; nothing of a header may be logged.
 logging.getLogger("pydicom").setLevel(logging.CRITICAL + 1)
@@ -215,8 +215,7 @@ def _read(path: Path, *, pixels: bool, tags: Sequence[Any] = HEADER_TAGS) -> tup
     """Read the data set, and the offset of its pixel element if the element was skipped and can be found."""
     try:
         _check_inflated_size(path)
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
+        with without_warnings():
             if pixels:
                 dataset = pydicom.dcmread(path, force=True)
                 settle_character_set(dataset)
@@ -245,8 +244,7 @@ def damaged_elements_refused(refusal: Callable[[str], CarinaError]) -> Iterator[
         Returns the error for a problem, such as "one of its elements is damaged (ValueError)".
     """
     try:
-        with warnings.catch_warnings():  # pydicom's warnings may quote content of the file
-            warnings.simplefilter("ignore")
+        with without_warnings():  # pydicom's warnings may quote content of the file
             yield
     except (CarinaError, OSError, MemoryError):
         raise
@@ -261,8 +259,7 @@ def acquisition_date(path: Path) -> str | None:
     """
     try:
         dataset = _read(path, pixels=False, tags=_DATE_TAGS)[0]
-        with warnings.catch_warnings():  # pydicom's warnings may quote the value
-            warnings.simplefilter("ignore")
+        with without_warnings():  # pydicom's warnings may quote the value
             texts = [_Tags(dataset).text(keyword) for keyword in _DATES]
     except Exception:
         return None  # a damaged date counts as missing
@@ -424,8 +421,7 @@ def read_image_headers(path: Path) -> tuple[list[SliceHeader], Dataset]:
         If the file cannot be read as DICOM.
     """
     dataset, pixels_at = _read(path, pixels=False)
-    with warnings.catch_warnings():  # pydicom's warnings may quote content of the file
-        warnings.simplefilter("ignore")
+    with without_warnings():  # pydicom's warnings may quote content of the file
         try:
             if not is_enhanced(dataset):
                 header = _parse(path, dataset, pixels_at)

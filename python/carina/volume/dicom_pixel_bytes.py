@@ -9,12 +9,12 @@ from __future__ import annotations
 
 import functools
 import itertools
-import warnings
 from pathlib import Path
 from typing import BinaryIO, Literal
 
 from carina.volume.dicom_headers import PIXEL_TAGS, SliceHeader, read_dataset
 from carina.volume.dicom_streams import fragments
+from carina.volume.without_warnings import without_warnings
 
 _IMPLICIT = ("1.2.840.10008.1.2", "")
 _UNDEFINED = 0xFFFFFFFF
@@ -129,8 +129,7 @@ def release_pixel_data() -> None:
 
 def _parsed_pixel_data(path: Path) -> bytes:
     dataset = read_dataset(path, pixels=True)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
+    with without_warnings():
         try:
             value = dataset.get("PixelData")
         except Exception as error:

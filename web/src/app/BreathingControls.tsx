@@ -1,6 +1,6 @@
 /** Simulated breathing: its switch, movement and period, the button for a cough, and the words in the picture. */
 
-import { useEffect, useState } from "react";
+import { useEffect, useRef, useState } from "react";
 import {
   Button,
   Dialog,
@@ -13,6 +13,7 @@ import {
   SliderTrack,
 } from "react-aria-components";
 import { fixed } from "../state/format";
+import { attemptOf } from "../state/training";
 import type { BreathingInfo } from "../wire/messages";
 import { LEAD_VIEW } from "../wire/views";
 import { useApp, useStation } from "./context";
@@ -22,8 +23,31 @@ import { Icon } from "./icons";
 /** Published values of quiet breathing, which the server also uses by default. */
 const QUIET: BreathingInfo = { on: false, movement_mm: 12, period_s: 3.6 };
 
-/** Render the switch of the breathing, and its settings while it is on. */
-export function BreathingControls() {
+/**
+ * Return a function that notes that the breathing was switched on in the step Train. When the user leaves the step, such a
+ * breathing ends, unless an attempt runs, whose end also ends its breathing. A breathing that was switched on above the
+ * airway view goes on.
+ */
+export function useBreathingOfStep(): (on: boolean) => void {
+  const station = useStation();
+  const breathing = useApp((state) => state.session?.breathing ?? QUIET);
+  const runs = useApp((state) => attemptOf(state) !== null);
+  const latest = useRef({ breathing, runs, ofStep: false });
+  Object.assign(latest.current, { breathing, runs });
+  useEffect(
+    () => () => {
+      const { breathing, runs, ofStep } = latest.current;
+      if (ofStep && breathing.on && !runs) station.send({ type: "set_breathing", ...breathing, on: false });
+    },
+    [station],
+  );
+  return (on) => {
+    latest.current.ofStep = on;
+  };
+}
+
+/** Render the switch of the breathing, and its settings while it is on; `switched` is called by the switch. */
+export function BreathingControls({ switched }: { switched?: (on: boolean) => void }) {
   const station = useStation();
   const breathing = useApp((state) => state.session?.breathing ?? QUIET);
   const ready = useApp((state) => state.session?.airways === "found");
@@ -41,7 +65,10 @@ export function BreathingControls() {
           on={breathing.on}
           disabled={!ready}
           testId="breathing-switch"
-          onChange={() => set({ on: !breathing.on })}
+          onChange={() => {
+            set({ on: !breathing.on });
+            switched?.(!breathing.on);
+          }}
         />
         {breathing.on ? (
           <Act

@@ -86,7 +86,7 @@ struct WaySection {
 pub(crate) struct Search<'a> {
     values: VolumeView<'a, i16>,
     smooth: VolumeView<'a, i16>,
-    /// State of each voxel of the volume: [`LUMEN`], [`EXTENDED`], [`PENDING`], [`REFUSED`], or 0 for any other.
+    /// State of each voxel of the volume, such as [`LUMEN`] (see [`crate::find::extension_levels`]), or 0.
     states: &'a [u8],
     faces: Faces,
     reached: &'a [Node],

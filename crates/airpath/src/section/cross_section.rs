@@ -296,9 +296,9 @@ impl Section {
     ///
     /// One edge has the standard deviation `e`, with `e^2 = (noise / slope)^2 + (0.1 voxel)^2`. A section of radius `r`
     /// has as many independent edges as voxels on its edge, `n = 2 pi r / voxel`, at most one per ray. Their error,
-    /// `1.96 e / sqrt(n)`, is combined with the error of the blur model ([`Correction::error`]; without a blur a fixed
-    /// fraction). A width has fewer independent edges, `n / 4`. The error of the wall includes both of its edges and a
-    /// fraction of the blur.
+    /// `1.96 e / sqrt(n)`, is combined with the error of the blur model ([`crate::section::deblur::Correction`];
+    /// without a blur a fixed fraction). A width has fewer independent edges, `n / 4`. The error of the wall includes
+    /// both of its edges and a fraction of the blur.
     fn set_errors(&mut self, cast: &Cast, voxel_mm: f64, noise: f64, model: f64, blur_mm: f64) {
         let edge = edge_error_mm(cast, &self.edge_mm, voxel_mm, noise);
         let num_rays = NUM_RAYS as f64 * self.share;

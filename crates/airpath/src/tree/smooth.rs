@@ -1,7 +1,7 @@
 //! Smooth centrelines that stay inside the lumen.
 //!
 //! A chain of voxel centres has steps. The chain is resampled evenly and smoothed by penalised least squares (Whittaker
-//! 1923, second differences; Eilers 2003): minimise sum w |x - y|^2 + lambda sum |x[n-1] - 2 x[n] + x[n+1]|^2. Points
+//! 1923, second differences; Eilers 2003): minimise `sum w |x - y|^2 + lambda sum |x[n-1] - 2 x[n] + x[n+1]|^2`. Points
 //! that would leave the lumen are pulled back, first to just inside, then to the chain, which never leaves the lumen,
 //! until all points are inside.
 

@@ -385,10 +385,23 @@ class TrainingHandlers(CommandHandlers):
         if self._recorder.flight_number == attempt.flight:
             self._recorder.note_task_end(outcome)
             self._recorder.stop()
+        self._end_breathing(case)
         if reason is not None:
             self.core.emit(UserMessage(f"the task ended early, and the attempt does not count: {reason}"))
         self.core.changed("training", "flights", "state")
         self._start_scoring(case, attempt.flight, attempt.task)
+
+    def _end_breathing(self, case: OpenCase) -> None:
+        """End the simulated breathing, which belongs to the task that ends; the caller holds the session's lock.
+
+        Otherwise the chest would move on unnoticed: every movement renders a picture, and the next attempt would not
+        count for mastery.
+        """
+        if case.flights.breathing.breathing is not None:
+            case.flights.breathing.begin(None, self.core.clock())
+            for step in self.core.after_breathing:
+                step(case)
+            self.core.changed("state", "pose", "views")
 
     def follow(self, case: OpenCase) -> None:
         """End the attempt after a change of the airways; the caller holds the session's lock."""

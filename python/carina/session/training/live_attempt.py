@@ -16,7 +16,7 @@ from carina.scopes import Pose, WallField
 from carina.session.state.training import RunningTask
 from carina.track import Airways, AirwayTree
 from carina.training import LANDMARKS, FlightEvent, FlightFrames, FlightScorer, Score, Task, segments_of_case
-from carina.training.flight_frames import FRAME_HZ, FlightOptics
+from carina.training.flight_frames import FRAME_HZ, FlightOptics, KnownFrames
 from carina.training.segments import branches_named
 from carina.training.task import landmarks_of
 
@@ -79,6 +79,7 @@ class LiveAttempt:
         """Time of the score before the newest one, and of the newest one, since the beginning of the attempt."""
         self._paused_s: float | None = None
         self._motions: list[tuple[float, ChestMotion | None]] = []
+        self._known = KnownFrames()
 
     @property
     def is_paused(self) -> bool:
@@ -153,6 +154,7 @@ class LiveAttempt:
             poses,
             np.arange(len(poses)) / FRAME_HZ,
             motions=tuple(self._motions),
+            known=self._known,
         )
         try:
             self._score = self._scorer.score(frames)

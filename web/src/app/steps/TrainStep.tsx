@@ -14,7 +14,7 @@ import {
   timeText,
 } from "../../state/training";
 import type { FlightScore, QuizInfo, TaskInfo } from "../../wire/messages";
-import { BreathingControls } from "../BreathingControls";
+import { BreathingControls, useBreathingOfStep } from "../BreathingControls";
 import { CoursePanel } from "../CoursePanel";
 import { useApp, useStation } from "../context";
 import { Act } from "../controls";
@@ -27,6 +27,7 @@ export function TrainStep() {
   const training = useApp((state) => state.training);
   const attempt = useApp(attemptOf);
   const quiz = useApp(quizOf);
+  const breathingSwitched = useBreathingOfStep();
   if (attempt !== null) return <RunningAttempt attempt={attempt} />;
   if (quiz !== null) return <RunningQuiz quiz={quiz} />;
   if (training === null) return null;
@@ -38,7 +39,7 @@ export function TrainStep() {
       </p>
       <CoursePanel course={training.course} />
       <ScopeSelect />
-      <BreathingControls />
+      <BreathingControls switched={breathingSwitched} />
       <VoiceSwitch />
       <ul className="key-list" aria-label="Tasks" data-testid="tasks">
         {training.tasks.map((task) => (
