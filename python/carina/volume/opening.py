@@ -14,6 +14,7 @@ from carina.volume.grid_files import open_grid_file
 from carina.volume.grid_headers import GRID_FORMATS, sniff_format
 from carina.volume.io_errors import guarded
 from carina.volume.model import Volume
+from carina.volume.opening_preview import OpeningPreview, preview_listener
 from carina.volume.progress import Watch
 from carina.volume.scan_place import scan_place
 
@@ -155,6 +156,12 @@ def _open_place(path: Path, series: str | None, watch: Watch) -> Volume:
     from carina.volume.dicom import choose_series, open_series
 
     chosen, notes = choose_series(found, key=series, where=place_name(path))
+    watch.step("Reading the slices", 0.0)
+    listener = preview_listener()
+    if listener is not None:
+        from carina.volume.series_pictures import preview_slice
+
+        listener(OpeningPreview(preview_slice(chosen)))
     others = [item.info for item in found if item is not chosen]
     return open_series(chosen, others=others, notes=notes, watch=watch)
 

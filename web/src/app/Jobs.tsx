@@ -1,10 +1,11 @@
 /** Progress of long jobs of the server: a thin bar with title, fraction, remaining time and a cancel button. */
 
-import { useState } from "react";
+import { Fragment, useState } from "react";
 import { ProgressBar } from "react-aria-components";
 import { plural, sentence, timeLeft } from "../state/format";
 import { useApp, useStation } from "./context";
 import { Act } from "./controls";
+import { OpeningPreview } from "./OpeningPreview";
 
 interface ThinProgressProps {
   title: string;
@@ -72,14 +73,16 @@ export function Jobs() {
         />
       )}
       {jobs.map((job) => (
-        <ThinProgress
-          key={job.job_id}
-          title={job.title}
-          what={job.what}
-          fraction={job.fraction}
-          secondsLeft={job.seconds_left}
-          onCancel={() => station.send({ type: "cancel", job_id: job.job_id })}
-        />
+        <Fragment key={job.job_id}>
+          <ThinProgress
+            title={job.title}
+            what={job.what}
+            fraction={job.fraction}
+            secondsLeft={job.seconds_left}
+            onCancel={() => station.send({ type: "cancel", job_id: job.job_id })}
+          />
+          <OpeningPreview jobId={job.job_id} />
+        </Fragment>
       ))}
     </div>
   );

@@ -1586,6 +1586,24 @@ export interface SeriesPictureMessage {
   readonly picture: string;
 }
 
+/** An axial slice of a CT that is being opened, with the patient's right on the left of the picture. */
+export interface OpeningSlice {
+  readonly picture: string;
+  readonly number: number;
+  readonly num_slices: number;
+  readonly height_lps_mm: number;
+  readonly width_mm: number;
+  readonly height_mm: number;
+  readonly is_hu: boolean;
+}
+
+/** Preview of the CT that a job is opening; all fields are null at the end, after an error and after a cancel. */
+export interface OpeningMessage {
+  readonly type: "opening";
+  readonly job_id: string | null;
+  readonly slice: OpeningSlice | null;
+}
+
 /** A note to the user about the case, with a code that does not change between versions. */
 export interface CaseNote {
   readonly code: string;
@@ -2815,6 +2833,7 @@ export type ServerMessage =
   | ServerHelloMessage
   | StartMessage
   | SeriesPictureMessage
+  | OpeningMessage
   | StateMessage
   | HistoryMessage
   | RouteMessage

@@ -166,6 +166,30 @@ class SeriesPictureMessage(ServerMessage, frozen=True):
     """PNG in base64, at most 96 pixels wide and high."""
 
 
+class OpeningSlice(FrozenValue, frozen=True):
+    """An axial slice of a CT that is being opened, with the patient's right on the left of the picture."""
+
+    picture: Annotated[str, Meta(max_length=400_000)]
+    """Grey PNG in base64, at most 256 pixels wide and high."""
+    number: Count
+    """Number of the slice, from 1 to ``num_slices``."""
+    num_slices: Count
+    height_lps_mm: float
+    """Position of the centre of the slice along the axis to the head, LPS mm."""
+    width_mm: float
+    height_mm: float
+    is_hu: bool
+    """Whether the picture shows HU in the lung window (1500/-600); otherwise the grey range is that of the slice."""
+
+
+class OpeningMessage(ServerMessage, frozen=True):
+    """Preview of the CT that a job is opening; all fields are null at the end, after an error and after a cancel."""
+
+    job_id: Identifier | None
+    slice: OpeningSlice | None = None
+    """A slice near the middle; null if the slices are not axial or the slice cannot be decoded without doubts."""
+
+
 class CaseNote(FrozenValue, frozen=True):
     """A note to the user about the case, with a code that does not change between versions."""
 

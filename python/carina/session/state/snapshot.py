@@ -25,11 +25,24 @@ if TYPE_CHECKING:
     from carina.plan.routes.main_carina import RouteScale
     from carina.track import Branch, CtAssessment, LivePath, TreeMeasures
     from carina.volume import Volume
+    from carina.volume.opening_preview import OpeningPreview
 
 Stage = Literal["empty", "opening", "ready"]
 AirwayStatus = Literal["none", "waiting", "finding", "found", "failed"]
 Topic = Literal[
-    "state", "tree", "route", "pose", "start", "views", "key_frames", "flights", "history", "plan", "lungs", "training"
+    "state",
+    "tree",
+    "route",
+    "pose",
+    "start",
+    "views",
+    "key_frames",
+    "flights",
+    "history",
+    "plan",
+    "lungs",
+    "training",
+    "opening",
 ]
 
 
@@ -278,6 +291,15 @@ class KeyFramesInfo(KeyFrameFlying, frozen=True):
     """Duration in s; 0 with fewer than two key frames."""
     problem: Words | None
     """Reason why there is no flight; null if there is one."""
+
+
+@one_line
+@dataclass(frozen=True, slots=True)
+class OpeningInfo:
+    """A CT that a job is opening, until the CT is shown or the job ends."""
+
+    job_id: str
+    preview: OpeningPreview
 
 
 @one_line
