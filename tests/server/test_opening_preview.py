@@ -7,7 +7,7 @@ import contextlib
 import threading
 
 import pytest
-from dicom_writer import series
+from dicom_writer import chest, series
 from live_server import WAIT_S, running
 
 from carina.commands import OpeningPreviewOf
@@ -42,7 +42,7 @@ def opening(tmp_path, folder):
     with running(tmp_path, open_volume=held) as live, live.window() as window:
         try:
             window.send(wire.OpenPath(str(folder)))
-            preview = window.until(is_preview)
+            preview = window.until(has_slice)
             yield live, window, held, preview
         finally:
             held.may_end.set()
@@ -50,6 +50,10 @@ def opening(tmp_path, folder):
 
 def is_preview(message):
     return isinstance(message, wire.OpeningMessage) and message.job_id is not None
+
+
+def has_slice(message):
+    return is_preview(message) and message.slice is not None
 
 
 def is_removal(message):
@@ -81,3 +85,56 @@ def test_slice_is_sent_while_the_ct_is_read_and_removed_at_every_end(tmp_path, e
             assert outcome == end
         assert live.session.ask(OpeningPreviewOf()) is None
         assert live.session.jobs.wait_idle(WAIT_S)
+
+
+@pytest.fixture
+def mixed(tmp_path):
+    """Return a folder with a long and a short series of two patients, and a scout that cannot be opened."""
+
+    def other_patient(dataset, _index):
+        dataset.PatientID = dataset.PatientName = "SECRET-2"
+        dataset.SeriesDescription = "Soft"
+
+    def scout(dataset, _index):
+        dataset.ImageType, dataset.SeriesDescription = ["ORIGINAL", "PRIMARY", "LOCALIZER"], "Topogram"
+
+    series(tmp_path / "scan" / "a", number=3)
+    series(tmp_path / "scan" / "b", other_patient, number=4, hu=chest(16, seed=6))
+    return series(tmp_path / "scan" / "c", scout, number=1, hu=chest()[:1]).parent
+
+
+def test_series_are_listed_with_pictures_before_the_ct_is_open_without_names_of_patients(tmp_path, mixed):
+    with opening(tmp_path, mixed) as (live, window, _held, preview):
+        assert [(one.key, one.description, one.num_slices) for one in preview.series] == [
+            ("3", "Thorax", 20),
+            ("4", "Soft", 16),
+            ("1", "Topogram", 1),
+        ]
+        assert (preview.chosen, preview.num_patients) == ("3", 2)
+        assert preview.series[0].likeliest.startswith("the likeliest chest CT: 48 mm in slices 2.5 mm apart")
+        assert [one.refused is None for one in preview.series] == [True, True, False]
+        window.send(wire.AskSeriesPictures(preview.list_id))
+        keys = set()
+        while keys != {"1", "3", "4"}:
+            picture = window.until(lambda m: isinstance(m, wire.SeriesPictureMessage))
+            assert picture.list_id == preview.list_id
+            keys.add(picture.key)
+        assert live.session.snapshot().case is None
+        assert not any("secret" in wire.encode_message(m).lower() for m in window.seen)
+
+
+def test_other_series_is_opened_instead_and_the_first_opening_is_cancelled(tmp_path, mixed):
+    with opening(tmp_path, mixed) as (live, window, held, preview):
+        window.send(wire.OpenSeries("4", preview.job_id))
+        chosen = window.until(lambda m: is_preview(m) and m.chosen == "4")
+        assert (chosen.slice, chosen.list_id, chosen.series) == (None, preview.list_id, preview.series)
+        shown = window.until(has_slice)
+        assert (shown.job_id, shown.list_id, shown.slice.num_slices) == (chosen.job_id, preview.list_id, 16)
+        assert not any(is_removal(m) for m in window.seen), "the list stays on screen"
+        window.received(lambda m: isinstance(m, wire.Done) and (m.job_id, m.outcome) == (preview.job_id, "cancelled"))
+        held.may_end.set()
+        state = window.until_state(lambda state: state.case is not None)
+        assert (state.case.series.key, state.case.shape_zyx[0]) == ("4", 16)
+        window.send(wire.OpenSeries("3", chosen.job_id))
+        assert window.until(lambda m: isinstance(m, wire.Error)).code == "session.opening"
+        assert live.session.snapshot().case_number == 1

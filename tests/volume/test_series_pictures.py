@@ -97,7 +97,8 @@ def test_preview_shows_the_patients_right_on_the_left_and_the_front_above(tmp_pa
     previews = []
     with previews_to(previews.append):
         volume = open_volume(series(tmp_path, turned))
-    (found,) = (preview.slice for preview in previews)
+    assert [preview.slice is None for preview in previews] == [True, False], "the list is reported before the slice"
+    found = previews[-1].slice
     level = found.number - 1
     # The expected picture is made from the opened volume: each pixel at its place in LPS, sorted along L and P.
     nz, ny, nx = volume.shape_zyx

@@ -1,4 +1,4 @@
-"""Preview of a CT that is being opened: one slice, which is decoded before all others."""
+"""Preview of a CT that is being opened: the series of its folder, and one slice, which is decoded before all others."""
 
 from __future__ import annotations
 
@@ -6,8 +6,13 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 from carina.display import one_line
+from carina.volume.model import SeriesInfo
+
+if TYPE_CHECKING:
+    from carina.volume.dicom import FoundSeries
 
 __all__ = ["OpeningPreview", "PreviewSlice", "preview_listener", "previews_to"]
 
@@ -35,8 +40,19 @@ class PreviewSlice:
 class OpeningPreview:
     """What is known about a CT before its voxels are read."""
 
+    series: tuple[SeriesInfo, ...]
+    """All series of the folder or archive, the likeliest chest CT first."""
+    chosen_key: str
+    """Key of the series that is being opened."""
+    num_patients: int
+    """Number of patients whose images the folder contains, according to the tags."""
+    found: tuple[FoundSeries, ...] = field(default=(), repr=False)
+    """The same series with the headers of their slices, from which pictures are made."""
     slice: PreviewSlice | None = None
-    """A slice near the middle; None if it is not axial, or cannot be decoded with certainty."""
+    """A slice of the chosen series near the middle.
+
+    None before the slice is decoded, if it is not axial, and if it cannot be decoded with certainty.
+    """
 
 
 # A context variable, because no function between the session and the reader of a series needs the listener.
@@ -45,7 +61,10 @@ _listener: ContextVar[Callable[[OpeningPreview], None] | None] = ContextVar("car
 
 @contextmanager
 def previews_to(listener: Callable[[OpeningPreview], None]) -> Iterator[None]:
-    """Call ``listener`` with the preview of each DICOM series that is opened in the block, in the opening thread."""
+    """Call ``listener`` with the preview of each DICOM series that is opened in the block, in the opening thread.
+
+    The first call is made after the headers are sorted, the second call after the slice is decoded.
+    """
     before = _listener.set(listener)
     try:
         yield

@@ -1,6 +1,6 @@
 /** Progress of long jobs of the server: a thin bar with title, fraction, remaining time and a cancel button. */
 
-import { Fragment, useState } from "react";
+import { useState } from "react";
 import { ProgressBar } from "react-aria-components";
 import { plural, sentence, timeLeft } from "../state/format";
 import { useApp, useStation } from "./context";
@@ -60,7 +60,8 @@ export function Jobs() {
   const station = useStation();
   const jobs = useApp((state) => state.jobs);
   const upload = useApp((state) => state.upload);
-  if (jobs.length === 0 && upload === null) return null;
+  const isOpening = useApp((state) => state.opening !== null);
+  if (jobs.length === 0 && upload === null && !isOpening) return null;
   return (
     <div className="jobs" role="status">
       {upload === null ? null : (
@@ -73,17 +74,16 @@ export function Jobs() {
         />
       )}
       {jobs.map((job) => (
-        <Fragment key={job.job_id}>
-          <ThinProgress
-            title={job.title}
-            what={job.what}
-            fraction={job.fraction}
-            secondsLeft={job.seconds_left}
-            onCancel={() => station.send({ type: "cancel", job_id: job.job_id })}
-          />
-          <OpeningPreview jobId={job.job_id} />
-        </Fragment>
+        <ThinProgress
+          key={job.job_id}
+          title={job.title}
+          what={job.what}
+          fraction={job.fraction}
+          secondsLeft={job.seconds_left}
+          onCancel={() => station.send({ type: "cancel", job_id: job.job_id })}
+        />
       ))}
+      <OpeningPreview />
     </div>
   );
 }

@@ -1,13 +1,38 @@
-/** Preview of a CT that is being opened, below the progress of its job. */
+/** CT that is being opened, below the progress: a preview of one slice, and the list of series to choose another. */
 
-import { sliceText } from "../state/opening";
+import { listsSeries, sliceText } from "../state/opening";
 import type { OpeningSlice } from "../wire/messages";
 import { useApp } from "./context";
+import { SeriesList } from "./SeriesList";
 
-/** Render the preview of the CT that a job opens; nothing for other jobs. */
-export function OpeningPreview({ jobId }: { jobId: string }) {
-  const opening = useApp((state) => (state.opening?.job_id === jobId ? state.opening : null));
-  return opening === null || opening.slice === null ? null : <PreviewSlice slice={opening.slice} />;
+/** Render the preview of the CT that is being opened; nothing without one. */
+export function OpeningPreview() {
+  const opening = useApp((state) => state.opening);
+  if (opening === null) return null;
+  const { message, pictures } = opening;
+  return (
+    <>
+      {message.slice === null ? null : <PreviewSlice slice={message.slice} />}
+      {!listsSeries(opening) ? null : (
+        <>
+          <p className="quiet">
+            The folder contains {message.series.length} series. Choose another one to open it instead.
+          </p>
+          {message.num_patients < 2 ? null : (
+            <p className="warning-text">
+              The series are of {message.num_patients} patients: check that the chosen one is of the right patient.
+            </p>
+          )}
+          <SeriesList
+            series={message.series}
+            currentKey={message.chosen}
+            pictures={pictures}
+            opening={message.job_id === null ? null : { jobId: message.job_id, listId: message.list_id }}
+          />
+        </>
+      )}
+    </>
+  );
 }
 
 function PreviewSlice({ slice }: { slice: OpeningSlice }) {

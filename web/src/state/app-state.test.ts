@@ -265,8 +265,11 @@ describe("cases and jobs", () => {
 
   describe("preview of a CT that is being opened", () => {
     const slice = { picture: "", number: 3, num_slices: 5, height_lps_mm: -12, width_mm: 9, height_mm: 9, is_hu: true };
-    const preview = (jobId: string | null) =>
-      from({ type: "opening", job_id: jobId, slice: jobId === null ? null : slice });
+    const none = { list_id: null, series: [], chosen: null, num_patients: 1, slice: null };
+    const preview = (jobId: string | null, listId = jobId) =>
+      from({ type: "opening", job_id: jobId, ...none, ...(jobId === null ? {} : { list_id: listId, slice }) });
+    const picture = (listId: string | null) =>
+      from({ type: "series_picture", key: "4", picture: "a", list_id: listId });
     const shown = following(INITIAL_STATE, from(OPEN), preview("job-1"));
     const lost = { status: "lost", reason: null, retryAtMs: 5 } as const;
 
@@ -277,7 +280,7 @@ describe("cases and jobs", () => {
       ["the CT is shown", from({ ...OPEN, case: OPEN.case && { ...OPEN.case, number: 2 } })],
       ["the connection is lost", { kind: "connection", connection: lost }],
     ])("It is shown until %s.", (_why, event) => {
-      expect(shown.opening?.slice).toEqual(slice);
+      expect(shown.opening?.message.slice).toEqual(slice);
       expect(following(shown, event).opening).toBeNull();
     });
 
@@ -285,6 +288,15 @@ describe("cases and jobs", () => {
       const other = from({ type: "done", job_id: "job-7", outcome: "done" });
       expect(following(shown, other, sent({ type: "cancel", job_id: "job-7" })).opening).not.toBeNull();
       expect(following(shown, sent({ type: "cancel", job_id: "job-1" }), preview("job-1")).opening).toBeNull();
+    });
+
+    it("Pictures of its series and of the open CT's series are not mixed, and stay while another one is opened.", () => {
+      const pictured = following(shown, picture("job-1"), picture("job-0"));
+      expect([pictured.opening?.pictures, pictured.seriesPictures]).toEqual([{ "4": "a" }, {}]);
+      expect(following(shown, picture(null)).opening?.pictures).toEqual({});
+      const other = following(pictured, preview("job-2", "job-1"));
+      expect([other.opening?.message.job_id, other.opening?.pictures]).toEqual(["job-2", { "4": "a" }]);
+      expect(following(pictured, preview("job-3")).opening?.pictures).toEqual({});
     });
 
     it("Its number and its position are stated.", () => {

@@ -14,7 +14,6 @@ import {
   type Look,
   type LungsMessage,
   type NoEvidenceMessage,
-  type OpeningMessage,
   type PenMessage,
   type PickedMessage,
   type PictureHeader,
@@ -44,7 +43,7 @@ import type { ExpertPath } from "./expert";
 import { FIRST_FILM, type FilmChoice, type FilmFlight } from "./film";
 import type { LiveAnswer } from "./live-path";
 import type { ShownLayer } from "./lungs";
-import { shownOpening } from "./opening";
+import { type Opening, openingAfter, openingWithout, openingWithPicture } from "./opening";
 import { allUnderWay, type Local, type Optimistic, shown, underWay } from "./optimistic";
 import { NO_PACE, type Pace } from "./pace";
 import { NO_PACS, type PacsState, pacsAnswered, pacsClosed, pacsRequested } from "./pacs";
@@ -249,8 +248,8 @@ export interface AppState {
   readonly upload: Upload | null;
   /** Answers about the PACS; search results only while their dialog is open. */
   readonly pacs: PacsState;
-  /** Preview of the CT that a job is opening; null without one. */
-  readonly opening: OpeningMessage | null;
+  /** The CT that a job is opening; null without one. */
+  readonly opening: Opening | null;
   /** Pictures of the series in the open CT's folder, PNG in base64, by key of the series. */
   readonly seriesPictures: Readonly<Record<string, string>>;
   /** Input devices from the server's latest message; null before the first message. */
@@ -535,10 +534,10 @@ function receive(state: AppState, message: ServerMessage): AppState {
       return {
         ...state,
         jobs: state.jobs.filter((job) => job.job_id !== message.job_id),
-        opening: state.opening?.job_id === message.job_id ? null : state.opening,
+        opening: openingWithout(state.opening, message.job_id),
       };
     case "opening":
-      return { ...state, opening: shownOpening(message, state.cancelledJobs) };
+      return { ...state, opening: openingAfter(state.opening, message, state.cancelledJobs) };
     case "no_evidence":
       return { ...state, doubt: message, preview: null };
     case "error":
@@ -574,7 +573,9 @@ function receive(state: AppState, message: ServerMessage): AppState {
     case "cluster":
       return { ...state, cluster: message };
     case "series_picture":
-      return { ...state, seriesPictures: { ...state.seriesPictures, [message.key]: message.picture } };
+      return message.list_id !== null
+        ? { ...state, opening: openingWithPicture(state.opening, message) }
+        : { ...state, seriesPictures: { ...state.seriesPictures, [message.key]: message.picture } };
     case "pacs_connections":
     case "pacs_test":
     case "pacs_studies":
@@ -764,7 +765,7 @@ function foresee(state: AppState, message: ClientMessage, number: number): AppSt
       return {
         ...state,
         cancelledJobs: [...state.cancelledJobs, message.job_id],
-        opening: state.opening?.job_id === message.job_id ? null : state.opening,
+        opening: openingWithout(state.opening, message.job_id),
       };
     case "accept_notice":
       return state.start === null ? state : { ...state, start: { ...state.start, notice_accepted: true } };

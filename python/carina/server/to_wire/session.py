@@ -173,8 +173,11 @@ def _series_message(series: SeriesInfo, *, names_ct: bool) -> wire.OtherSeries:
     )
 
 
-def opening_message(info: OpeningInfo | None) -> wire.OpeningMessage:
-    """Return the message with the preview of the CT that is being opened; without one, a message that removes it."""
+def opening_message(info: OpeningInfo | None, *, names_ct: bool) -> wire.OpeningMessage:
+    """Return the message with the preview of the CT that is being opened; without one, a message that removes it.
+
+    ``names_ct`` adds the dates of the series, which only the user at this machine may read.
+    """
     if info is None:
         return wire.OpeningMessage(None)
     found = info.preview.slice
@@ -185,7 +188,9 @@ def opening_message(info: OpeningInfo | None) -> wire.OpeningMessage:
         shown = wire.OpeningSlice(
             picture, found.number, found.num_slices, found.height_lps_mm, width_mm, height_mm, found.is_hu
         )
-    return wire.OpeningMessage(info.job_id, shown)
+    preview = info.preview
+    series = tuple(_series_message(one, names_ct=names_ct) for one in preview.series)
+    return wire.OpeningMessage(info.job_id, info.list_id, series, preview.chosen_key, preview.num_patients, shown)
 
 
 def _note_messages(notes: Sequence[Note]) -> tuple[wire.CaseNote, ...]:

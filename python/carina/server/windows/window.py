@@ -182,7 +182,8 @@ class Window:
             case "start":
                 return self._host.texts.start()
             case "opening":
-                return wire.encode_message(opening_message(self._session.ask(OpeningPreviewOf())))
+                opening = self._session.ask(OpeningPreviewOf())
+                return wire.encode_message(opening_message(opening, names_ct=self.at_machine))
             case "state":
                 return wire.encode_message(self._state())
             case "tree":

@@ -158,12 +158,14 @@ class OtherSeries(FrozenValue, frozen=True):
 
 
 class SeriesPictureMessage(ServerMessage, frozen=True):
-    """Picture of a series of the open CT's folder: its middle slice."""
+    """Picture of a series of the open CT's folder, or of a folder that is being opened: its middle slice."""
 
     key: Words
-    """Key of the series: that of the open series, or ``case.other_series[].key``."""
+    """Key of the series: that of the open series, ``case.other_series[].key``, or ``opening.series[].key``."""
     picture: Annotated[str, Meta(max_length=100_000)]
     """PNG in base64, at most 96 pixels wide and high."""
+    list_id: Identifier | None = None
+    """List of the opening that contains the series; null for the folder of the open CT."""
 
 
 class OpeningSlice(FrozenValue, frozen=True):
@@ -183,9 +185,17 @@ class OpeningSlice(FrozenValue, frozen=True):
 
 
 class OpeningMessage(ServerMessage, frozen=True):
-    """Preview of the CT that a job is opening; all fields are null at the end, after an error and after a cancel."""
+    """Preview of the CT that a job is opening; ``job_id`` is null at the end, after an error and after a cancel."""
 
     job_id: Identifier | None
+    list_id: Identifier | None = None
+    """ID of the list of series; it stays if another series of the same list is opened instead."""
+    series: tuple[OtherSeries, ...] = ()
+    """All series of the folder or archive, the likeliest chest CT first; ``open_series`` opens another one."""
+    chosen: Words | None = None
+    """Key of the series that is being opened."""
+    num_patients: Count = 1
+    """Number of patients whose images the folder contains."""
     slice: OpeningSlice | None = None
     """A slice near the middle; null if the slices are not axial or the slice cannot be decoded without doubts."""
 

@@ -74,7 +74,12 @@ class CaseOpener(CommandHandlers):
 
     @does(c.OpenSeries)
     def open_series(self, command: c.OpenSeries) -> str:
-        """Open another series beside the open CT; UsageError if the place of its files is not known."""
+        """Open another series beside the open CT; UsageError if the place of its files is not known.
+
+        With a job, the series is opened instead of the series that the job opens; UsageError if the job has ended.
+        """
+        if command.job_id is not None:
+            return self._open_instead(command.key, command.job_id)
         with self.core.lock:
             case = self.core.needed_case()
             place, dropped = self._saving.place_of(case), case.planning.origin.dropped
@@ -86,10 +91,31 @@ class CaseOpener(CommandHandlers):
                 code="case.no-ct",
             )
 
-        def read(job: Job) -> Volume:
-            return self._saving.open_ct(place, job.progress, job.cancel, series=command.key)
+        return self._open_series(place, command.key)
 
-        return self._open("opening the series", read, None, place, previews=True)
+    def _open_series(self, place: str, key: str) -> str:
+        def read(job: Job) -> Volume:
+            return self._saving.open_ct(place, job.progress, job.cancel, series=key)
+
+        return self._open(
+            "opening the series", read, None, place, open_series=lambda other: self._open_series(place, other)
+        )
+
+    def _open_instead(self, key: str, job_id: str) -> str:
+        """Open another series of the folder that a job is opening; the job is cancelled."""
+        with self.core.lock:
+            opening = self.core.opening
+            if opening is None or opening.job_id != job_id:
+                raise UsageError(
+                    "this CT is no longer being opened: choose another series in Check, or open the folder again",
+                    code="session.opening",
+                )
+            new_job_id = opening.open_series(key)
+            # The list stays on screen while the new job reads the headers.
+            preview = replace(opening.preview, chosen_key=key, slice=None)
+            self.core.opening = replace(opening, job_id=new_job_id, preview=preview)
+            self.core.changed("opening")
+        return new_job_id
 
     @does(c.OpenFiles)
     def open_files(self, command: c.OpenFiles) -> str:
@@ -116,7 +142,13 @@ class CaseOpener(CommandHandlers):
                 dropped.references = ct_references(Path(path), volume, watch)
             return volume
 
-        return self._open("opening the case", read, None, dropped=dropped, previews=True)
+        return self._open(
+            "opening the case",
+            read,
+            None,
+            dropped=dropped,
+            open_series=lambda key: self._open_dropped(path, series=key),
+        )
 
     def _open_path(self, path: str, case_id: str | None = None) -> str:
         scans = self._saving.scans
@@ -135,8 +167,15 @@ class CaseOpener(CommandHandlers):
                     code="case.no-ct",
                 ) from error
 
-        # Of a stored case, the first series that is read may be another one than the CT of the case.
-        return self._open("opening the case", read, path, case_id=case_id, previews=case_id is None)
+        place = str(Path(path).absolute())
+        return self._open(
+            "opening the case",
+            read,
+            path,
+            case_id=case_id,
+            # The series of a stored case is decided, and the first series that is read may be another one.
+            open_series=None if case_id is not None else lambda key: self._open_series(place, key),
+        )
 
     @does(c.OpenCaseFile)
     def open_case_file(self, command: c.OpenCaseFile) -> str:
@@ -332,12 +371,12 @@ class CaseOpener(CommandHandlers):
         found: _OpenedFile | None = None,
         ended: Callable[[], None] = lambda: None,
         dropped: _DroppedCt | None = None,
-        previews: bool = False,
+        open_series: Callable[[str], str] | None = None,
     ) -> str:
         """Open a CT with the stored case ``case_id``; without an id, with the case of this CT that was used last.
 
-        With a ``given`` state, the case continues from this state, and the caller stores the case. With ``previews``,
-        windows show a slice of the CT while it is read.
+        With a ``given`` state, the case continues from this state, and the caller stores the case. With
+        ``open_series``, which opens another series of the same files, windows show a preview while the CT is read.
         """
         if path is not None and found is None:
             place = str(Path(path).absolute())
@@ -351,11 +390,11 @@ class CaseOpener(CommandHandlers):
 
         def open_it(job: Job) -> None:
             job.check()
-            if previews:
-                with previews_to(lambda preview: self._show_preview(job, preview)):
-                    volume = read(job)
-            else:
+            if open_series is None:
                 volume = read(job)
+            else:
+                with previews_to(lambda preview: self._show_preview(job, preview, open_series)):
+                    volume = read(job)
             # Until this check, an opening that fails or is stopped leaves the case on screen unchanged.
             job.check()
             with self.core.lock:
@@ -416,12 +455,15 @@ class CaseOpener(CommandHandlers):
         """Return the preview of the CT that a job is opening; None without one."""
         return self.core.opening
 
-    def _show_preview(self, job: Job, preview: OpeningPreview) -> None:
+    def _show_preview(self, job: Job, preview: OpeningPreview, open_series: Callable[[str], str]) -> None:
         """Show the preview of the CT that a job opens, unless the job was stopped."""
         # Checked with the session locked, so that a stopped job does not replace the preview of its successor.
         with self.core.lock:
             job.check()
-            self.core.opening = OpeningInfo(job.job_id, preview)
+            before, list_id = self.core.opening, job.job_id
+            if before is not None and before.job_id == job.job_id and before.preview.series == preview.series:
+                list_id = before.list_id
+            self.core.opening = OpeningInfo(list_id, job.job_id, preview, open_series)
             self.core.changed("opening")
 
     def _hide_preview(self, job: Job) -> None:

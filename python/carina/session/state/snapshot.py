@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -298,8 +298,12 @@ class KeyFramesInfo(KeyFrameFlying, frozen=True):
 class OpeningInfo:
     """A CT that a job is opening, until the CT is shown or the job ends."""
 
+    list_id: str
+    """ID of the list of series; it stays if another series of the same list is opened instead."""
     job_id: str
     preview: OpeningPreview
+    open_series: Callable[[str], str] = field(repr=False)
+    """Starts the job that opens the series with this key instead, and returns the ID of the job."""
 
 
 @one_line
