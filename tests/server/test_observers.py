@@ -20,6 +20,8 @@ from carina.server.hub import Hub
 from carina.server.observers.page import MAX_WATCHERS
 from carina.server.observers.window import READ_ONLY
 from carina.server.wire import messages as wire
+from carina.session import OpeningInfo
+from carina.volume.opening_preview import OpeningPreview
 from small_case import LEFT_TIP, session_fixture
 
 pytest.importorskip("cryptography")
@@ -150,6 +152,9 @@ def test_observer_receives_no_folder_name_no_other_case_and_no_link(shared_case)
         watcher.until_state(lambda s: s.case is not None)
         window.send(wire.SetPhone(on=True), wire.WatchDevices(on=True))
         window.until(lambda m: isinstance(m, wire.DevicesMessage))
+        live.session._core.opening = OpeningInfo("job-9", "job-9", OpeningPreview((), "1", 1), str)
+        live.session._core.changed("opening")
+        window.until(lambda m: isinstance(m, wire.OpeningMessage) and m.job_id == "job-9")
         window.send(wire.OpenPath("/scans/somebody/bad"), wire.SetFov(80.0))
         watcher.until_state(lambda s: s.look.fov_deg == 80.0)
         start = watcher.received(lambda m: isinstance(m, wire.Start))
@@ -158,7 +163,8 @@ def test_observer_receives_no_folder_name_no_other_case_and_no_link(shared_case)
         assert state.saving.copy_folder is None and state.saving.title is None
         assert state.case.other_series == ()
         kinds = {type(m) for m in watcher.seen}
-        assert not kinds & {wire.DevicesMessage, wire.Pen, wire.Watching, wire.Progress, wire.Notice, wire.Done}
+        private = {wire.DevicesMessage, wire.Pen, wire.Watching, wire.Progress, wire.Notice, wire.Done}
+        assert not kinds & (private | {wire.OpeningMessage})
         text = " ".join(fields(m) for m in watcher.seen)
         assert "somebody" not in text and "token" not in text and page.url.partition("#")[2] not in text
 

@@ -10,10 +10,12 @@ from dicom_writer import chest, packed, series
 
 from carina.display.png import png_pixels
 from carina.errors import CancelledError
+from carina.volume import open_volume
 from carina.volume.dicom import find_series
 from carina.volume.dicom_files import read_folder
+from carina.volume.opening_preview import previews_to
 from carina.volume.progress import Watch
-from carina.volume.series_pictures import PICTURE_PX, series_pictures, window_picture
+from carina.volume.series_pictures import PICTURE_PX, preview_slice, series_pictures, window_picture
 
 QUIET = Watch(None, None)
 
@@ -78,3 +80,70 @@ def test_only_the_likeliest_series_states_why(tmp_path):
     assert best.info.likeliest.startswith("the likeliest chest CT: ")
     assert other.info.likeliest == ""
     assert found_in(tmp_path / "long")[0].info.likeliest == ""
+
+
+def lung_window(hu):
+    return np.clip((hu.astype(np.float64) + 1350.0) * (255.0 / 1500.0), 0.0, 255.0)
+
+
+@pytest.mark.parametrize(
+    "orientation",
+    [(1, 0, 0, 0, 1, 0), (-1, 0, 0, 0, 1, 0), (1, 0, 0, 0, -1, 0), (0, 1, 0, 1, 0, 0), (0, 1, 0, -1, 0, 0)],
+)
+def test_preview_shows_the_patients_right_on_the_left_and_the_front_above(tmp_path, orientation):
+    def turned(dataset, _index):
+        dataset.ImageOrientationPatient = list(orientation)
+
+    previews = []
+    with previews_to(previews.append):
+        volume = open_volume(series(tmp_path, turned))
+    assert [preview.slice is None for preview in previews] == [True, False], "the list is reported before the slice"
+    found = previews[-1].slice
+    level = found.number - 1
+    # The expected picture is made from the opened volume: each pixel at its place in LPS, sorted along L and P.
+    nz, ny, nx = volume.shape_zyx
+    j, i = np.mgrid[:ny, :nx]
+    ijk = np.stack([i.ravel(), j.ravel(), np.full(i.size, level), np.ones(i.size)])
+    lps = volume.lps_from_ijk @ ijk
+    order = np.lexsort((np.round(lps[0], 3), np.round(lps[1], 3)))
+    expected = lung_window(volume.hu_zyx[level].ravel()[order])
+    grey = png_pixels(found.png)[..., 0]
+    assert np.abs(grey.ravel() - expected).max() <= 1.0
+    assert found.num_slices == nz
+    assert found.height_lps_mm == pytest.approx(lps[2].mean(), abs=0.01)
+    assert found.size_mm == pytest.approx([np.ptp(lps[axis]) * 32 / 31 for axis in (0, 1)], abs=0.01)
+    assert found.is_hu
+
+
+def sagittal(dataset, index):
+    dataset.ImageOrientationPatient = [0, 1, 0, 0, 0, -1]
+    dataset.ImagePositionPatient = [index * 2.5, 0, 0]
+
+
+def truncated(dataset, _index):
+    dataset.PixelData = dataset.PixelData[:100]
+
+
+def swapped_bytes(dataset, _index):
+    dataset.PixelData = np.frombuffer(dataset.PixelData, "<u2").byteswap().tobytes()
+
+
+@pytest.mark.parametrize("edit", [sagittal, truncated, swapped_bytes])
+def test_slice_that_is_not_axial_or_is_in_doubt_has_no_preview(tmp_path, edit):
+    (found,) = found_in(series(tmp_path, edit))
+    assert preview_slice(found) is None
+
+
+def test_preview_of_values_that_are_not_hu_does_not_state_hu(tmp_path):
+    def other_unit(dataset, _index):
+        dataset.RescaleType = "US"
+
+    (found,) = found_in(series(tmp_path, other_unit))
+    assert preview_slice(found).is_hu is False
+
+
+def test_preview_of_a_large_slice_shows_means_in_256_pixels(tmp_path):
+    (found,) = found_in(series(tmp_path, hu=np.repeat(np.repeat(chest()[:4], 16, axis=1), 16, axis=2)))
+    grey = png_pixels(preview_slice(found).png)[..., 0]
+    assert grey.shape == (256, 256)
+    assert np.abs(grey[::8, ::8] - lung_window(chest()[2])).max() <= 1.0

@@ -17,10 +17,12 @@ class OpenPath(Command, frozen=True):
 
 
 class OpenSeries(Command, frozen=True):
-    """Open another DICOM series of the folder from which the CT on screen was opened."""
+    """Open another DICOM series of the folder from which the CT on screen was opened, or of a folder being opened."""
 
     key: Identifier
-    """Key of the DICOM series to open: ``case.other_series[].key``."""
+    """Key of the DICOM series to open: ``case.other_series[].key``, or ``opening.series[].key``."""
+    job_id: Identifier | None = None
+    """Job that opens a series of the same folder now, which this command cancels; null: the folder of the open CT."""
 
 
 class OpenCaseFile(LocalCommand, frozen=True):

@@ -109,6 +109,10 @@ class SeriesFiles(Query[Path | None], frozen=True):
     """
 
 
+class OpeningPreviewOf(Query[Any], frozen=True):
+    """Preview of the CT that a job is opening: a :class:`carina.session.OpeningInfo`; None without one."""
+
+
 class PlanToTakeAway(Query[Any], frozen=True):
     """Data of the report of a target's plan: a :class:`carina.plan.report.PlanMaterials`."""
 

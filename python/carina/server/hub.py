@@ -16,6 +16,7 @@ from carina.commands import (
     MaskFileNeeded,
     MeasureMovementFromFiles,
     OpenFiles,
+    OpenSeries,
     ReadTrainingFiles,
     SeriesFiles,
     TakeKeyFrameFile,
@@ -309,7 +310,10 @@ class Hub:
         """Pass a command to the session, or handle a message about the objects that the windows share."""
         match message:
             case Command():
-                self.session.do(message, window=window.number)
+                job_id = self.session.do(message, window=window.number)
+                if isinstance(message, OpenSeries) and message.job_id in self._upload_of_job and job_id is not None:
+                    # The dropped files are still needed: the new job reads another series of them.
+                    self._upload_of_job[job_id] = self._upload_of_job.pop(message.job_id)
                 self.devices.done(message)
             case wire.OpenUpload():
                 self._start_upload_job(
@@ -341,7 +345,7 @@ class Hub:
             case wire.AskStorage():
                 window.mark("start")
             case wire.AskSeriesPictures():
-                start_series_pictures(self.session, window.number, window.send)
+                start_series_pictures(self.session, window.number, window.send, message.list_id)
             case wire.StopSeriesPictures():
                 stop_series_pictures(self.session, window.number)
             case wire.SetWatchPage():

@@ -35,6 +35,7 @@ from carina.session.state.snapshot import (
     ErrorEvent,
     EvidenceMissing,
     FlightInfo,
+    OpeningInfo,
     PoseInfo,
     SavingInfo,
     Snapshot,
@@ -127,6 +128,8 @@ class SessionCore:
         self._watched: dict[int, int] = {}
         """Number of the case that each observer window may see, by window number; entries are never removed."""
         self.case: OpenCase | None = None
+        self.opening: OpeningInfo | None = None
+        """The CT that is being opened, as far as it may be shown; None before its headers are read."""
         self.case_numbers = itertools.count(1)
         self.device_woken = threading.Event()
         self.saving: Callable[[], SavingInfo] = SavingInfo

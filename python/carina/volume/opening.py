@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -14,8 +15,9 @@ from carina.volume.grid_files import open_grid_file
 from carina.volume.grid_headers import GRID_FORMATS, sniff_format
 from carina.volume.io_errors import guarded
 from carina.volume.model import Volume
+from carina.volume.opening_preview import OpeningPreview, preview_listener
 from carina.volume.progress import Watch
-from carina.volume.scan_place import scan_place
+from carina.volume.scan_place import ScanPlace, scan_place
 
 # The DICOM readers are loaded at first use, so that grid files and the start page do not load their libraries.
 if TYPE_CHECKING:
@@ -144,10 +146,11 @@ def _not_an_image(path: Path, kind: str | None) -> str:
 def _open(path: Path, series: str | None, watch: Watch) -> Volume:
     check_exists(path)
     with scan_place(path, watch) as place:
-        return place.volume(_open_place(place.path, series, watch))
+        return place.volume(_open_place(place, series, watch))
 
 
-def _open_place(path: Path, series: str | None, watch: Watch) -> Volume:
+def _open_place(place: ScanPlace, series: str | None, watch: Watch) -> Volume:
+    path = place.path
     found = find_in(path, watch)
     if isinstance(found, str):
         refuse_series(path, found, series)
@@ -155,8 +158,25 @@ def _open_place(path: Path, series: str | None, watch: Watch) -> Volume:
     from carina.volume.dicom import choose_series, open_series
 
     chosen, notes = choose_series(found, key=series, where=place_name(path))
+    watch.step("Reading the slices", 0.0)
+    _report_preview(place, found, chosen)
     others = [item.info for item in found if item is not chosen]
     return open_series(chosen, others=others, notes=notes, watch=watch)
+
+
+def _report_preview(place: ScanPlace, found: Sequence[FoundSeries], chosen: FoundSeries) -> None:
+    """Pass the series of the folder, and then a slice of the chosen one, to the listener if there is one."""
+    listener = preview_listener()
+    if listener is None:
+        return
+    from carina.volume.dicom_series import count_patients
+    from carina.volume.series_pictures import preview_slice
+
+    num_patients = count_patients([header for series in found for header in series.slices])
+    infos = tuple(place.series(series.info) for series in found)
+    preview = OpeningPreview(infos, chosen.info.key, num_patients, tuple(found))
+    listener(preview)
+    listener(replace(preview, slice=preview_slice(chosen)))
 
 
 def refuse_series(path: Path, kind: str, series: str | None) -> None:

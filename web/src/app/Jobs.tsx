@@ -5,6 +5,7 @@ import { ProgressBar } from "react-aria-components";
 import { plural, sentence, timeLeft } from "../state/format";
 import { useApp, useStation } from "./context";
 import { Act } from "./controls";
+import { OpeningPreview } from "./OpeningPreview";
 
 interface ThinProgressProps {
   title: string;
@@ -59,7 +60,8 @@ export function Jobs() {
   const station = useStation();
   const jobs = useApp((state) => state.jobs);
   const upload = useApp((state) => state.upload);
-  if (jobs.length === 0 && upload === null) return null;
+  const isOpening = useApp((state) => state.opening !== null);
+  if (jobs.length === 0 && upload === null && !isOpening) return null;
   return (
     <div className="jobs" role="status">
       {upload === null ? null : (
@@ -81,6 +83,7 @@ export function Jobs() {
           onCancel={() => station.send({ type: "cancel", job_id: job.job_id })}
         />
       ))}
+      <OpeningPreview />
     </div>
   );
 }

@@ -10,6 +10,7 @@ import {
   type StateMessage,
 } from "../wire/messages";
 import { type AppEvent, type AppState, crosshairLps, INITIAL_STATE, pathMm, reduce } from "./app-state";
+import { sliceText } from "./opening";
 import { NOT_SENT } from "./optimistic";
 import { NOTHING_SAVED } from "./saving.testing";
 
@@ -260,6 +261,48 @@ describe("cases and jobs", () => {
     expect(running.jobs).toHaveLength(1);
     expect(running.jobs[0]?.fraction).toBe(0.7);
     expect(following(running, from({ type: "done", job_id: "j", outcome: "done" })).jobs).toEqual([]);
+  });
+
+  describe("preview of a CT that is being opened", () => {
+    const slice = { picture: "", number: 3, num_slices: 5, height_lps_mm: -12, width_mm: 9, height_mm: 9, is_hu: true };
+    const none = { list_id: null, series: [], chosen: null, num_patients: 1, slice: null };
+    const preview = (jobId: string | null, listId = jobId) =>
+      from({ type: "opening", job_id: jobId, ...none, ...(jobId === null ? {} : { list_id: listId, slice }) });
+    const picture = (listId: string | null) =>
+      from({ type: "series_picture", key: "4", picture: "a", list_id: listId });
+    const shown = following(INITIAL_STATE, from(OPEN), preview("job-1"));
+    const lost = { status: "lost", reason: null, retryAtMs: 5 } as const;
+
+    it.each<[string, AppEvent]>([
+      ["the server removes it", preview(null)],
+      ["its job ends", from({ type: "done", job_id: "job-1", outcome: "failed" })],
+      ["the user cancels its job", sent({ type: "cancel", job_id: "job-1" })],
+      ["the CT is shown", from({ ...OPEN, case: OPEN.case && { ...OPEN.case, number: 2 } })],
+      ["the connection is lost", { kind: "connection", connection: lost }],
+    ])("It is shown until %s.", (_why, event) => {
+      expect(shown.opening?.message.slice).toEqual(slice);
+      expect(following(shown, event).opening).toBeNull();
+    });
+
+    it("It stays after the end of another job, and that of a cancelled job is not shown later.", () => {
+      const other = from({ type: "done", job_id: "job-7", outcome: "done" });
+      expect(following(shown, other, sent({ type: "cancel", job_id: "job-7" })).opening).not.toBeNull();
+      expect(following(shown, sent({ type: "cancel", job_id: "job-1" }), preview("job-1")).opening).toBeNull();
+    });
+
+    it("Pictures of its series and of the open CT's series are not mixed, and stay while another one is opened.", () => {
+      const pictured = following(shown, picture("job-1"), picture("job-0"));
+      expect([pictured.opening?.pictures, pictured.seriesPictures]).toEqual([{ "4": "a" }, {}]);
+      expect(following(shown, picture(null)).opening?.pictures).toEqual({});
+      const other = following(pictured, preview("job-2", "job-1"));
+      expect([other.opening?.message.job_id, other.opening?.pictures]).toEqual(["job-2", { "4": "a" }]);
+      expect(following(pictured, preview("job-3")).opening?.pictures).toEqual({});
+    });
+
+    it("Its number and its position are stated.", () => {
+      expect(sliceText(slice)).toBe("Slice 3 of 5, I 12.0 mm");
+      expect(sliceText({ ...slice, height_lps_mm: 0.04 })).toBe("Slice 3 of 5, S 0.0 mm");
+    });
   });
 
   describe("dialog of the PACS", () => {

@@ -43,6 +43,7 @@ import type { ExpertPath } from "./expert";
 import { FIRST_FILM, type FilmChoice, type FilmFlight } from "./film";
 import type { LiveAnswer } from "./live-path";
 import type { ShownLayer } from "./lungs";
+import { type Opening, openingAfter, openingWithout, openingWithPicture } from "./opening";
 import { allUnderWay, type Local, type Optimistic, shown, underWay } from "./optimistic";
 import { NO_PACE, type Pace } from "./pace";
 import { NO_PACS, type PacsState, pacsAnswered, pacsClosed, pacsRequested } from "./pacs";
@@ -247,6 +248,8 @@ export interface AppState {
   readonly upload: Upload | null;
   /** Answers about the PACS; search results only while their dialog is open. */
   readonly pacs: PacsState;
+  /** The CT that a job is opening; null without one. */
+  readonly opening: Opening | null;
   /** Pictures of the series in the open CT's folder, PNG in base64, by key of the series. */
   readonly seriesPictures: Readonly<Record<string, string>>;
   /** Input devices from the server's latest message; null before the first message. */
@@ -320,6 +323,7 @@ export const INITIAL_STATE: AppState = {
   detail: null,
   upload: null,
   pacs: NO_PACS,
+  opening: null,
   seriesPictures: {},
   devices: null,
   pen: null,
@@ -527,7 +531,13 @@ function receive(state: AppState, message: ServerMessage): AppState {
           : [...state.jobs, message],
       };
     case "done":
-      return { ...state, jobs: state.jobs.filter((job) => job.job_id !== message.job_id) };
+      return {
+        ...state,
+        jobs: state.jobs.filter((job) => job.job_id !== message.job_id),
+        opening: openingWithout(state.opening, message.job_id),
+      };
+    case "opening":
+      return { ...state, opening: openingAfter(state.opening, message, state.cancelledJobs) };
     case "no_evidence":
       return { ...state, doubt: message, preview: null };
     case "error":
@@ -563,7 +573,9 @@ function receive(state: AppState, message: ServerMessage): AppState {
     case "cluster":
       return { ...state, cluster: message };
     case "series_picture":
-      return { ...state, seriesPictures: { ...state.seriesPictures, [message.key]: message.picture } };
+      return message.list_id !== null
+        ? { ...state, opening: openingWithPicture(state.opening, message) }
+        : { ...state, seriesPictures: { ...state.seriesPictures, [message.key]: message.picture } };
     case "pacs_connections":
     case "pacs_test":
     case "pacs_studies":
@@ -652,7 +664,16 @@ function sessionChanged(state: AppState, session: StateMessage): AppState {
       step: hasFindings ? "check" : "airways",
       panel: panelOf(hasFindings ? "check" : "airways"),
     };
-    next = { ...next, ...NOTHING_SHOWN, frames: {}, picks: [], local: NOTHING_LOCAL, seriesPictures: {}, ui };
+    next = {
+      ...next,
+      ...NOTHING_SHOWN,
+      frames: {},
+      picks: [],
+      local: NOTHING_LOCAL,
+      opening: null,
+      seriesPictures: {},
+      ui,
+    };
     // The series was retrieved and opened, so the search results with names are no longer needed.
     next = { ...next, pacs: { ...NO_PACS, connections: next.pacs.connections } };
   }
@@ -741,7 +762,11 @@ function foresee(state: AppState, message: ClientMessage, number: number): AppSt
     case "stop_pacs":
       return { ...state, pacs: pacsRequested(state.pacs, message) };
     case "cancel":
-      return { ...state, cancelledJobs: [...state.cancelledJobs, message.job_id] };
+      return {
+        ...state,
+        cancelledJobs: [...state.cancelledJobs, message.job_id],
+        opening: openingWithout(state.opening, message.job_id),
+      };
     case "accept_notice":
       return state.start === null ? state : { ...state, start: { ...state.start, notice_accepted: true } };
     case "read_hints":
@@ -772,7 +797,17 @@ function connectionChanged(state: AppState, connection: Connection): AppState {
   const jobs = connection.status === "open" || connection.status === "connecting" ? state.jobs : [];
   // Clear the pose for a new connection: a restarted server numbers poses from the start, and its first pose must be accepted.
   const pose = connection.status === "open" ? null : state.pose;
-  return { ...state, connection, jobs, pose, pen: null, local: NOTHING_LOCAL, ui: { ...state.ui, advancing: false } };
+  const opening = jobs === state.jobs ? state.opening : null;
+  return {
+    ...state,
+    connection,
+    jobs,
+    opening,
+    pose,
+    pen: null,
+    local: NOTHING_LOCAL,
+    ui: { ...state.ui, advancing: false },
+  };
 }
 
 /** Maximum number of notices in the list; older notices are removed. Errors stay until the user closes them. */

@@ -30,10 +30,11 @@ export interface OpenPathMessage {
   readonly path: string;
 }
 
-/** Open another DICOM series of the folder from which the CT on screen was opened. */
+/** Open another DICOM series of the folder from which the CT on screen was opened, or of a folder being opened. */
 export interface OpenSeriesMessage {
   readonly type: "open_series";
   readonly key: string;
+  readonly job_id?: string | null;
 }
 
 /** Open a case that is bundled with Carina. */
@@ -928,9 +929,10 @@ export interface SetLayersMessage {
   readonly layers: readonly ("fissures" | "lobes" | "reach" | "vessels")[];
 }
 
-/** Request a picture of each series of the open CT's folder, by a job; each answer is a `series_picture`. */
+/** Request a picture of each series of a folder, by a job; each answer is a `series_picture`. */
 export interface AskSeriesPicturesMessage {
   readonly type: "ask_series_pictures";
+  readonly list_id?: string | null;
 }
 
 /** Stop the job of `ask_series_pictures`, because the window has closed the list of series. */
@@ -1579,18 +1581,12 @@ export interface StartMessage {
   readonly hints_read: boolean;
 }
 
-/** Picture of a series of the open CT's folder: its middle slice. */
+/** Picture of a series of the open CT's folder, or of a folder that is being opened: its middle slice. */
 export interface SeriesPictureMessage {
   readonly type: "series_picture";
   readonly key: string;
   readonly picture: string;
-}
-
-/** A note to the user about the case, with a code that does not change between versions. */
-export interface CaseNote {
-  readonly code: string;
-  readonly words: string;
-  readonly badge: boolean;
+  readonly list_id: string | null;
 }
 
 /** A series in the folder of the open series: another one, or the open series itself. */
@@ -1606,6 +1602,35 @@ export interface OtherSeries {
   readonly phase: string;
   readonly acquired_on: string | null;
   readonly likeliest: string;
+}
+
+/** An axial slice of a CT that is being opened, with the patient's right on the left of the picture. */
+export interface OpeningSlice {
+  readonly picture: string;
+  readonly number: number;
+  readonly num_slices: number;
+  readonly height_lps_mm: number;
+  readonly width_mm: number;
+  readonly height_mm: number;
+  readonly is_hu: boolean;
+}
+
+/** Preview of the CT that a job is opening; `job_id` is null at the end, after an error and after a cancel. */
+export interface OpeningMessage {
+  readonly type: "opening";
+  readonly job_id: string | null;
+  readonly list_id: string | null;
+  readonly series: readonly OtherSeries[];
+  readonly chosen: string | null;
+  readonly num_patients: number;
+  readonly slice: OpeningSlice | null;
+}
+
+/** A note to the user about the case, with a code that does not change between versions. */
+export interface CaseNote {
+  readonly code: string;
+  readonly words: string;
+  readonly badge: boolean;
 }
 
 /** A feature that this volume does not support, and the reason. */
@@ -2815,6 +2840,7 @@ export type ServerMessage =
   | ServerHelloMessage
   | StartMessage
   | SeriesPictureMessage
+  | OpeningMessage
   | StateMessage
   | HistoryMessage
   | RouteMessage

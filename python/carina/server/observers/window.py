@@ -101,15 +101,16 @@ class WatchingWindow(Window):
     def topic_text(self, topic: str) -> str | None:
         """Return the newest message of a topic as JSON; None for private topics.
 
-        Recorded flights and the list of observers are private. The start message omits the cases of the user. The
-        training omits the learners, unless the user shares their pseudonyms and scores with a teacher.
+        Recorded flights, the list of observers and a CT that is being opened are private. The start message omits the
+        cases of the user. The training omits the learners, unless the user shares their pseudonyms and scores with a
+        teacher.
         """
         match topic:
             case "start":
                 return self._host.texts.watchers_start()
             case "training":
                 return self._host.texts.observed_training(with_learners=self._host.shares_learners)
-            case "watching" | "flights" | "processor":
+            case "watching" | "flights" | "processor" | "opening":
                 return None
         return super().topic_text(topic)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import math
 import time
 from collections.abc import Sequence
@@ -22,6 +23,7 @@ from carina.session import (
     ChosenRoute,
     KeyFramesInfo,
     ListedCase,
+    OpeningInfo,
     PoseInfo,
     Snapshot,
     StorageInfo,
@@ -169,6 +171,26 @@ def _series_message(series: SeriesInfo, *, names_ct: bool) -> wire.OtherSeries:
         series.acquired_on if names_ct else None,
         series.likeliest,
     )
+
+
+def opening_message(info: OpeningInfo | None, *, names_ct: bool) -> wire.OpeningMessage:
+    """Return the message with the preview of the CT that is being opened; without one, a message that removes it.
+
+    ``names_ct`` adds the dates of the series, which only the user at this machine may read.
+    """
+    if info is None:
+        return wire.OpeningMessage(None)
+    found = info.preview.slice
+    shown = None
+    if found is not None:
+        width_mm, height_mm = found.size_mm
+        picture = base64.b64encode(found.png).decode()
+        shown = wire.OpeningSlice(
+            picture, found.number, found.num_slices, found.height_lps_mm, width_mm, height_mm, found.is_hu
+        )
+    preview = info.preview
+    series = tuple(_series_message(one, names_ct=names_ct) for one in preview.series)
+    return wire.OpeningMessage(info.job_id, info.list_id, series, preview.chosen_key, preview.num_patients, shown)
 
 
 def _note_messages(notes: Sequence[Note]) -> tuple[wire.CaseNote, ...]:

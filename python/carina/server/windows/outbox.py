@@ -15,6 +15,7 @@ MAX_PICTURES = 200
 """Maximum number of queued pictures; the queue grows if unacknowledged pictures count as lost."""
 TOPICS = (
     "start",
+    "opening",
     "state",
     "tree",
     "route",

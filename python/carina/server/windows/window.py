@@ -8,11 +8,11 @@ from collections.abc import Callable, Iterable
 from dataclasses import replace
 from typing import Any, Protocol, assert_never
 
-from carina.commands import VoxelAt, WallAt
+from carina.commands import OpeningPreviewOf, VoxelAt, WallAt
 from carina.disk import disk_trouble, is_disk_trouble
 from carina.errors import CarinaError, UsageError
 from carina.server.frames.pump import FramePump
-from carina.server.to_wire.session import history_message, picked_message, pose_message, state_message
+from carina.server.to_wire.session import history_message, opening_message, picked_message, pose_message, state_message
 from carina.server.windows.broadcast_cache import SharedTexts
 from carina.server.windows.inbox import Inbox
 from carina.server.windows.outbox import Outbox
@@ -126,6 +126,8 @@ class Window:
         self._pictures.start()
         self._pointing.start()
         topics = ["start", "state", "watching", "processor"]
+        if self._session.ask(OpeningPreviewOf()) is not None:
+            topics.append("opening")
         if self._session.snapshot().case is not None:
             topics += ["tree", "route", "plan", "lungs", "key_frames", "flights", "history", "pose", "training"]
         self.mark(*topics)
@@ -179,6 +181,9 @@ class Window:
         match topic:
             case "start":
                 return self._host.texts.start()
+            case "opening":
+                opening = self._session.ask(OpeningPreviewOf())
+                return wire.encode_message(opening_message(opening, names_ct=self.at_machine))
             case "state":
                 return wire.encode_message(self._state())
             case "tree":

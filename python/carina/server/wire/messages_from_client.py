@@ -150,7 +150,10 @@ class SetLayers(ClientMessage, frozen=True):
 
 
 class AskSeriesPictures(ClientMessage, frozen=True):
-    """Request a picture of each series of the open CT's folder, by a job; each answer is a ``series_picture``."""
+    """Request a picture of each series of a folder, by a job; each answer is a ``series_picture``."""
+
+    list_id: Identifier | None = None
+    """``opening.list_id`` of a folder that is being opened; null for the folder of the open CT."""
 
 
 class StopSeriesPictures(ClientMessage, frozen=True):

@@ -158,12 +158,46 @@ class OtherSeries(FrozenValue, frozen=True):
 
 
 class SeriesPictureMessage(ServerMessage, frozen=True):
-    """Picture of a series of the open CT's folder: its middle slice."""
+    """Picture of a series of the open CT's folder, or of a folder that is being opened: its middle slice."""
 
     key: Words
-    """Key of the series: that of the open series, or ``case.other_series[].key``."""
+    """Key of the series: that of the open series, ``case.other_series[].key``, or ``opening.series[].key``."""
     picture: Annotated[str, Meta(max_length=100_000)]
     """PNG in base64, at most 96 pixels wide and high."""
+    list_id: Identifier | None = None
+    """List of the opening that contains the series; null for the folder of the open CT."""
+
+
+class OpeningSlice(FrozenValue, frozen=True):
+    """An axial slice of a CT that is being opened, with the patient's right on the left of the picture."""
+
+    picture: Annotated[str, Meta(max_length=400_000)]
+    """Grey PNG in base64, at most 256 pixels wide and high."""
+    number: Count
+    """Number of the slice, from 1 to ``num_slices``."""
+    num_slices: Count
+    height_lps_mm: float
+    """Position of the centre of the slice along the axis to the head, LPS mm."""
+    width_mm: float
+    height_mm: float
+    is_hu: bool
+    """Whether the picture shows HU in the lung window (1500/-600); otherwise the grey range is that of the slice."""
+
+
+class OpeningMessage(ServerMessage, frozen=True):
+    """Preview of the CT that a job is opening; ``job_id`` is null at the end, after an error and after a cancel."""
+
+    job_id: Identifier | None
+    list_id: Identifier | None = None
+    """ID of the list of series; it stays if another series of the same list is opened instead."""
+    series: tuple[OtherSeries, ...] = ()
+    """All series of the folder or archive, the likeliest chest CT first; ``open_series`` opens another one."""
+    chosen: Words | None = None
+    """Key of the series that is being opened."""
+    num_patients: Count = 1
+    """Number of patients whose images the folder contains."""
+    slice: OpeningSlice | None = None
+    """A slice near the middle; null if the slices are not axial or the slice cannot be decoded without doubts."""
 
 
 class CaseNote(FrozenValue, frozen=True):

@@ -11,7 +11,7 @@ from carina.case import CaseFile, CaseFileError
 from carina.case.stored_state import Moment
 from carina.errors import UsageError, VolumeImportError
 from carina.session.airways.finding import AirwayHandlers
-from carina.session.command_registry import CommandHandlers, does
+from carina.session.command_registry import CommandHandlers, answers, does
 from carina.session.core import ALL_TOPICS, SessionCore
 from carina.session.derived.plans import CtOrigin
 from carina.session.flights.recording import FlightRecorder
@@ -19,12 +19,13 @@ from carina.session.flights.scope_contact import ScopeContactHandlers
 from carina.session.jobs.background_jobs import Job
 from carina.session.open_case.open_case import OpenCase, new_case
 from carina.session.saving.autosave import Autosave
-from carina.session.state.snapshot import UserMessage
+from carina.session.state.snapshot import OpeningInfo, UserMessage
 from carina.session.store.find_scan import CaseScans, is_case_file
 from carina.session.store.named_file import FileMark, open_marked
 from carina.session.store.registry import CaseRecord
 from carina.volume import Volume
 from carina.volume.dicom_references import References
+from carina.volume.opening_preview import OpeningPreview, previews_to
 from carina.volume.progress import Watch
 
 
@@ -73,7 +74,12 @@ class CaseOpener(CommandHandlers):
 
     @does(c.OpenSeries)
     def open_series(self, command: c.OpenSeries) -> str:
-        """Open another series beside the open CT; UsageError if the place of its files is not known."""
+        """Open another series beside the open CT; UsageError if the place of its files is not known.
+
+        With a job, the series is opened instead of the series that the job opens; UsageError if the job has ended.
+        """
+        if command.job_id is not None:
+            return self._open_instead(command.key, command.job_id)
         with self.core.lock:
             case = self.core.needed_case()
             place, dropped = self._saving.place_of(case), case.planning.origin.dropped
@@ -85,10 +91,31 @@ class CaseOpener(CommandHandlers):
                 code="case.no-ct",
             )
 
-        def read(job: Job) -> Volume:
-            return self._saving.open_ct(place, job.progress, job.cancel, series=command.key)
+        return self._open_series(place, command.key)
 
-        return self._open("opening the series", read, None, place)
+    def _open_series(self, place: str, key: str) -> str:
+        def read(job: Job) -> Volume:
+            return self._saving.open_ct(place, job.progress, job.cancel, series=key)
+
+        return self._open(
+            "opening the series", read, None, place, open_series=lambda other: self._open_series(place, other)
+        )
+
+    def _open_instead(self, key: str, job_id: str) -> str:
+        """Open another series of the folder that a job is opening; the job is cancelled."""
+        with self.core.lock:
+            opening = self.core.opening
+            if opening is None or opening.job_id != job_id:
+                raise UsageError(
+                    "this CT is no longer being opened: choose another series in Check, or open the folder again",
+                    code="session.opening",
+                )
+            new_job_id = opening.open_series(key)
+            # The list stays on screen while the new job reads the headers.
+            preview = replace(opening.preview, chosen_key=key, slice=None)
+            self.core.opening = replace(opening, job_id=new_job_id, preview=preview)
+            self.core.changed("opening")
+        return new_job_id
 
     @does(c.OpenFiles)
     def open_files(self, command: c.OpenFiles) -> str:
@@ -115,7 +142,13 @@ class CaseOpener(CommandHandlers):
                 dropped.references = ct_references(Path(path), volume, watch)
             return volume
 
-        return self._open("opening the case", read, None, dropped=dropped)
+        return self._open(
+            "opening the case",
+            read,
+            None,
+            dropped=dropped,
+            open_series=lambda key: self._open_dropped(path, series=key),
+        )
 
     def _open_path(self, path: str, case_id: str | None = None) -> str:
         scans = self._saving.scans
@@ -134,7 +167,15 @@ class CaseOpener(CommandHandlers):
                     code="case.no-ct",
                 ) from error
 
-        return self._open("opening the case", read, path, case_id=case_id)
+        place = str(Path(path).absolute())
+        return self._open(
+            "opening the case",
+            read,
+            path,
+            case_id=case_id,
+            # The series of a stored case is decided, and the first series that is read may be another one.
+            open_series=None if case_id is not None else lambda key: self._open_series(place, key),
+        )
 
     @does(c.OpenCaseFile)
     def open_case_file(self, command: c.OpenCaseFile) -> str:
@@ -330,10 +371,12 @@ class CaseOpener(CommandHandlers):
         found: _OpenedFile | None = None,
         ended: Callable[[], None] = lambda: None,
         dropped: _DroppedCt | None = None,
+        open_series: Callable[[str], str] | None = None,
     ) -> str:
         """Open a CT with the stored case ``case_id``; without an id, with the case of this CT that was used last.
 
-        With a ``given`` state, the case continues from this state, and the caller stores the case.
+        With a ``given`` state, the case continues from this state, and the caller stores the case. With
+        ``open_series``, which opens another series of the same files, windows show a preview while the CT is read.
         """
         if path is not None and found is None:
             place = str(Path(path).absolute())
@@ -342,11 +385,16 @@ class CaseOpener(CommandHandlers):
             try:
                 open_it(job)
             finally:
+                self._hide_preview(job)
                 ended()
 
         def open_it(job: Job) -> None:
             job.check()
-            volume = read(job)
+            if open_series is None:
+                volume = read(job)
+            else:
+                with previews_to(lambda preview: self._show_preview(job, preview, open_series)):
+                    volume = read(job)
             # Until this check, an opening that fails or is stopped leaves the case on screen unchanged.
             job.check()
             with self.core.lock:
@@ -402,11 +450,35 @@ class CaseOpener(CommandHandlers):
 
         return self.core.jobs.start("open", title, work)
 
+    @answers(c.OpeningPreviewOf)
+    def opening_preview(self, _question: c.OpeningPreviewOf) -> OpeningInfo | None:
+        """Return the preview of the CT that a job is opening; None without one."""
+        return self.core.opening
+
+    def _show_preview(self, job: Job, preview: OpeningPreview, open_series: Callable[[str], str]) -> None:
+        """Show the preview of the CT that a job opens, unless the job was stopped."""
+        # Checked with the session locked, so that a stopped job does not replace the preview of its successor.
+        with self.core.lock:
+            job.check()
+            before, list_id = self.core.opening, job.job_id
+            if before is not None and before.job_id == job.job_id and before.preview.series == preview.series:
+                list_id = before.list_id
+            self.core.opening = OpeningInfo(list_id, job.job_id, preview, open_series)
+            self.core.changed("opening")
+
+    def _hide_preview(self, job: Job) -> None:
+        """Remove the preview of the CT that a job opens."""
+        with self.core.lock:
+            if self.core.opening is not None and self.core.opening.job_id == job.job_id:
+                self.core.opening = None
+                self.core.changed("opening")
+
     def _show_case(self, job: Job, case: OpenCase) -> None:
         """Show a newly opened case, and discard the previous case with its jobs.
 
         The caller holds the session's lock.
         """
+        self._hide_preview(job)
         self._recording.stop()
         # All other jobs belong to the previous case.
         self.core.jobs.cancel_others(job)

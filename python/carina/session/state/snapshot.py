@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -25,11 +25,24 @@ if TYPE_CHECKING:
     from carina.plan.routes.main_carina import RouteScale
     from carina.track import Branch, CtAssessment, LivePath, TreeMeasures
     from carina.volume import Volume
+    from carina.volume.opening_preview import OpeningPreview
 
 Stage = Literal["empty", "opening", "ready"]
 AirwayStatus = Literal["none", "waiting", "finding", "found", "failed"]
 Topic = Literal[
-    "state", "tree", "route", "pose", "start", "views", "key_frames", "flights", "history", "plan", "lungs", "training"
+    "state",
+    "tree",
+    "route",
+    "pose",
+    "start",
+    "views",
+    "key_frames",
+    "flights",
+    "history",
+    "plan",
+    "lungs",
+    "training",
+    "opening",
 ]
 
 
@@ -278,6 +291,19 @@ class KeyFramesInfo(KeyFrameFlying, frozen=True):
     """Duration in s; 0 with fewer than two key frames."""
     problem: Words | None
     """Reason why there is no flight; null if there is one."""
+
+
+@one_line
+@dataclass(frozen=True, slots=True)
+class OpeningInfo:
+    """A CT that a job is opening, until the CT is shown or the job ends."""
+
+    list_id: str
+    """ID of the list of series; it stays if another series of the same list is opened instead."""
+    job_id: str
+    preview: OpeningPreview
+    open_series: Callable[[str], str] = field(repr=False)
+    """Starts the job that opens the series with this key instead, and returns the ID of the job."""
 
 
 @one_line

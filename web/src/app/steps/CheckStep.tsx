@@ -2,6 +2,7 @@ import { keyOf, WINDOWS } from "../../input/keymap";
 import { greyWindow } from "../../state/app-state";
 import { findingsOf, notInStatement } from "../../state/badges";
 import { sentence, windowText } from "../../state/format";
+import { listsSeries } from "../../state/opening";
 import type { CaseNote } from "../../wire/messages";
 import { useApp, useStation } from "../context";
 import { Act, Choice } from "../controls";
@@ -36,6 +37,9 @@ export function CheckStep() {
   const slab = useApp((state) => state.sight.slab);
   const width = useApp((state) => greyWindow(state).width_hu);
   const level = useApp((state) => greyWindow(state).level_hu);
+  const pictures = useApp((state) => state.seriesPictures);
+  // The series of a folder that is being opened are listed above; two lists could be confused.
+  const isListing = useApp((state) => listsSeries(state.opening));
   if (info === null) return null;
   // The list of series states what this note states, with pictures.
   const warnings = info.notes.filter(({ code }) => code !== "import.several-series").map(({ words }) => words);
@@ -77,10 +81,16 @@ export function CheckStep() {
           ))}
         </ul>
       )}
-      {info.other_series.length === 0 ? null : (
+      {info.other_series.length === 0 || isListing ? null : (
         <>
           <h3>Series in the folder</h3>
-          <SeriesList info={info} />
+          <SeriesList
+            key={info.number}
+            series={info.series === null ? info.other_series : [info.series, ...info.other_series]}
+            currentKey={info.series?.key ?? null}
+            pictures={pictures}
+            opening={null}
+          />
         </>
       )}
       <h3>Window / level</h3>
