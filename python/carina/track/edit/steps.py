@@ -134,7 +134,7 @@ class EditSteps:
         if plan.doubtful.any() and not even_without_evidence:
             raise no_evidence(plan)
         if len(plan.voxels):
-            # Leave out the part in the tube that the path leaves, whose wall is known.
+            # Measure only the points outside the lumen: the wall of the tube that the path leaves is already known.
             outside = plan.points[~self.lumen.core.inside(plan.points)]
             tube = tube_round(self._volume, outside, missed_radii(self._volume, outside))
             line = voxels_along(self._volume, plan.points)
