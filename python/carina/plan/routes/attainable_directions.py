@@ -63,7 +63,7 @@ class AttainableTip:
     forward: Points
     """(3,) unit vector in the direction of the needle."""
     off_deg: float
-    """Angle in degrees between this direction and the direction to the aim."""
+    """Angle in degrees between ``forward`` and the direction to the aim."""
 
 
 @one_line
