@@ -596,7 +596,7 @@ def _normals(branch: Branch, tree: AirwayTree) -> Floats:
         points = tree.branch(branch.parent).points
         before = points[-2] if len(points) > 1 else None
     normals = directions(branch.points, branch.radius, before)
-    # A branch without a direction has no length; its section is parallel to the slices.
+    # A branch of length 0 has no direction; its section is placed parallel to the axial plane.
     normals[np.linalg.norm(normals, axis=1) < 0.5] = [0.0, 0.0, 1.0]
     return normals
 
