@@ -17,7 +17,7 @@ from carina.render.views import AirwayView
 from carina.scopes import Pose
 
 MIN_PIXELS = 64 * 64
-"""Minimum number of pixels of a picture in which leaping and brute force are timed; in smaller ones trial rays decide."""
+"""Minimum number of pixels of a picture in which leaps and brute force are timed; in smaller ones trial rays decide."""
 PICTURES_BETWEEN = 32
 """Number of pictures along a flight after which the times of skipping and of brute force are measured again."""
 NEAR_TURN_RAD = 0.25
