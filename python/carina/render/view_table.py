@@ -169,7 +169,7 @@ def _grey_settings(s: ViewSettings) -> tuple[float, float]:
 
 
 def _in_hundredths_mm(point: tuple[float, float, float]) -> tuple[float, ...]:
-    # The rounding is far below a pixel, so a rotation of the scope alone does not render new slices.
+    # Rounding to far less than a pixel: a mere rotation of the scope does not render new slices.
     return tuple(round(v, 2) for v in point)
 
 
