@@ -334,7 +334,7 @@ class _Parting:
 
     columns: _Columns
     heights: Floats
-    """(nx, nz) y, LPS mm."""
+    """(nx, nz) position y of the parting surface in each column, LPS mm."""
     slopes: Floats
     """(nx, nz) lengths of the vector (1, slope along x, slope along z)."""
 

@@ -264,7 +264,7 @@ def _airway_frames(points: Points, mm: NDArray[np.float64], apex_mm: float) -> P
     sums = np.concatenate([np.zeros((1, 3)), np.cumsum(distal, axis=0)])
     step = mm[1] - mm[0]
     numbers = np.arange(len(mm))
-    # The window is narrower towards the ends, so that it stays centred.
+    # The averaging window is narrower near the ends of the airway, so that its middle stays the averaged point.
     reach = np.minimum(np.minimum(numbers, numbers[::-1]), max(int(LOOK_MM / step), 0))
     looks = sums[numbers + reach + 1] - sums[numbers - reach]
     norms = np.linalg.norm(looks, axis=1)

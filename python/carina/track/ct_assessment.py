@@ -57,7 +57,7 @@ class CtProperty:
     name: PropertyName
     """Name of the property."""
     words: str
-    """What was measured or found, in words."""
+    """Measurement or finding about the property, as a text for the user."""
     limits: bool
     """Whether a finding names this property, because it limits the airway search."""
 

@@ -69,7 +69,7 @@ class Mastery:
     reasons: tuple[tuple[str, ...], ...]
     """Reasons why each attempt does not count."""
     basis: str = "over the recordings that you gave, in your order"
-    """Text that names the attempts on which the judgement is based."""
+    """Text for the user that names the attempts on which the judgement is based."""
 
     @property
     def num_counted(self) -> int:
