@@ -79,7 +79,7 @@ def _cpu_ms() -> float:
 
 
 def order_of_round(names: Sequence[str], turn: int) -> list[str]:
-    """Return the names in the order of a round, by a Williams design: each name follows each other one equally often.
+    """Return the names in the order of a round, by a Williams design: each name follows every other name equally often.
 
     The rounds are balanced after as many rounds as there are names, or after twice as many if their number is odd.
     """

@@ -277,7 +277,7 @@ def _measure(name: str, quick: bool) -> _Cost:
             tries.append(time.perf_counter() - began_s)
         bands.append(min(tries))
     profile = np.repeat(np.array(bands), band)
-    # The shortest of several times is the one with the least other load.
+    # The shortest of several times is used, because other programs disturbed it least.
     return _Cost(min(times), profile / profile.mean())
 
 

@@ -83,7 +83,7 @@ def measured_share(before: Volume, made: InsertedNodule) -> float:
         return total / (made.density_hu - made.lung_hu) / made.volume_mm3
     shape = NoduleShape.of_volume(made.core_diameter_mm or made.diameter_mm, made.spiculation, made.seed)
     if made.core_diameter_mm is not None:
-        # The ground glass round the core, and its part that the core replaces, are known densities.
+        # The known contribution of the ground glass is subtracted, so that the core alone is measured.
         glass = -600.0 - made.lung_hu
         core_mm3 = np.pi / 6.0 * made.core_diameter_mm**3
         total -= made.volume_mm3 * glass
@@ -278,7 +278,7 @@ def real_sample(
 
 
 def _fitted(features: Floats, labels: Floats) -> Callable[[Floats], Floats]:
-    """Return the scores of a logistic regression with a small ridge penalty, fitted by Newton's method."""
+    """Return the function from features to scores of a ridge-penalized logistic regression (Newton's method)."""
     mean, spread = features.mean(axis=0), features.std(axis=0) + 1e-9
     x = np.column_stack([np.ones(len(features)), (features - mean) / spread])
     weights = np.zeros(x.shape[1])

@@ -69,7 +69,7 @@ def _cast(values, turn, origin, focal_px, size, step_mm, table, lo, light, metri
                 x, y, z = origin[0] + t * dx, origin[1] + t * dy, origin[2] + t * dz
                 inside = -0.5 <= x <= nx - 0.5 and -0.5 <= y <= ny - 0.5 and -0.5 <= z <= nz - 0.5
                 if not inside:
-                    # The cameras of the benchmark are inside the volume.
+                    # Outside, a ray that was in the volume ends; another goes on for at most 100,000 samples.
                     if entered or k > 100000:
                         break
                     continue

@@ -101,7 +101,7 @@ def _late_s(folder: Path) -> list[float]:
         with contextlib.suppress(CancelledError):
             open_volume(folder, cancel=lambda at=at: time.perf_counter() >= at)  # type: ignore[misc]
         late_s = time.perf_counter() - at
-        # An import that ended before the moment was not cancelled.
+        # An import that ended before the instant of its cancellation was not cancelled, so it is left out.
         if late_s > 0.0:
             found.append(late_s)
     if not found:

@@ -149,7 +149,7 @@ def tubes_of_mask(mask_zyx: Mask, lps_from_ijk: Floats) -> tuple[Tube, ...]:
 
 
 def _shares(points: Floats) -> Floats:
-    """Return for each point of a line the length of the line that is nearest to this point, mm."""
+    """Return, for each point of a line, the length in mm of the part of the line that is nearest to this point."""
     step = np.linalg.norm(np.diff(points, axis=0), axis=1)
     result: Floats = 0.5 * (np.append(step, 0.0) + np.insert(step, 0, 0.0))
     return result

@@ -293,7 +293,7 @@ def _cover(distance: Cells, cell_mm: float) -> Cells:
 
 
 def _merged(one: Cells, other: Cells, merge_mm: float) -> Cells:
-    """Return the smaller of two distances; where they differ by less than about ``merge_mm``, the result is rounded."""
+    """Return a smooth minimum of two distances, below both where they differ by less than about ``merge_mm``."""
     least = np.minimum(one, other)
     if merge_mm <= 0.0:
         return least

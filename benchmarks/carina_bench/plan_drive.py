@@ -36,7 +36,7 @@ Points = NDArray[np.float64]
 SPACING_MM = 0.8
 """Spacing of the simulated CT from which widths are measured, mm."""
 ROOM_SHARE = 0.2
-"""Standard deviation of a route's narrowest diameter, as a share of the CT's spacing."""
+"""Standard deviation of the error of a measured narrowest diameter, as a share of the CT's voxel spacing."""
 WIDE_MM, NARROW_FROM_MM, LENGTH_MM = 4.2, 55.0, 110.0
 """Radius of the wide part of a tube, distance at which the narrow part begins, and length of the tube, mm."""
 STEP_MM = 0.4

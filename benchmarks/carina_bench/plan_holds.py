@@ -50,7 +50,7 @@ YIELD_MM, NUM_RIM = 0.2, 8
 GRID_MM, OUTSIDE_MM, OUTSIDE_BOX_MM = 0.5, -9.0, 2.0
 """Spacing of the grid that stores the nearest balls, depth far outside, and margin of the grid, mm."""
 NEARLY_MM, NUM_REFINED, ROUNDS, NUM_CHANGES = 1.0, 12, 16, 64
-"""Refinement: largest lack of room in mm of a refined chain, number of chains, of rounds, and of changes in a round."""
+"""Refinement: largest overlap in mm of wall and refined chain, number of chains, of rounds, of changes in a round."""
 CHANGE_MM, CHANGE_DEG, CHANGE_SHARE, SHRINK = 0.5, 8.0, 0.15, 0.85
 """Standard deviations of the changes in the first round: of the shaft's end in mm, of the shaft's direction and of the
 arc's plane in degrees, of curvature and length as shares of the largest ones; factor between two rounds."""
@@ -71,11 +71,11 @@ class Hold:
     branch: int
     """Index of the true branch in which the free part of the scope begins."""
     narrowest_mm: float
-    """Diameter of the largest ball that passes from the trachea to that place, mm."""
+    """Diameter in mm of the largest ball that passes from the trachea to the point where the free part begins."""
 
 
 class LumenDepth:
-    """Depth inside the lumen near some point: the largest radius less distance over all balls.
+    """Depth in the true lumen near a point: the maximum, over its balls, of radius less distance to the centre.
 
     A grid stores the ball that determines the depth at each of its corners. The depth at a point is computed from the
     balls of the eight corners round the point, which are extended along the airway to the middle between two balls.
@@ -96,7 +96,7 @@ class LumenDepth:
         depth = np.full((size, size, size), OUTSIDE_MM, dtype=np.float32)
         self._ball = np.full((size, size, size), -1, dtype=np.int32)
         near = np.linalg.norm(truth.points - middle, axis=1) <= 2.0 * within_mm
-        # The last row is the ball of the corners that no ball is near.
+        # The last row is a ball of radius minus infinity: the nearest ball of grid points that no real ball is near.
         self._points = np.concatenate([truth.points[near], middle[None]])
         self._forward = np.concatenate([_unit(truth.forward[near]), np.zeros((1, 3))])
         self._narrowest_mm = truth.narrowest_mm[near]

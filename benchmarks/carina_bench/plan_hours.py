@@ -65,11 +65,11 @@ MIN_PX, MAX_SHARE = 4, 0.9
 If an opening fills the picture, the found fork is at another place than the true one: the camera is in the true branch.
 """
 MIN_WITHIN, MAX_NOT_GIVEN = 0.98, 0.1
-"""Limits to be reached: share of clock hours within half an hour, and share of openings without an hour."""
+"""Minimum share of clock hours within half an hour of the true one, and maximum share of openings without an hour."""
 
 
 def hour_rows(case: PlanCase, *, width_mm: float = WIDTH_MM) -> Iterator[Row]:
-    """Yield a row for each turn of a case: the hour of the turn, the true hours, and the hour of the drawn outline."""
+    """Yield a row for each turn of a case: the stated clock hour, the true hours, and the hour of the drawn outline."""
     assert case.airways is not None
     tree = case.airways.tree
     renderer = Renderer(case.volume)

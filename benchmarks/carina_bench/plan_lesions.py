@@ -262,7 +262,7 @@ def _implanted(
         toward = _direction(rng)
         lobe_mm = radius_mm * rng.uniform(0.3, 0.6)
         away.append(np.linalg.norm(off - toward * radius_mm * rng.uniform(0.6, 1.1), axis=-1) - lobe_mm)
-    # A smooth union of the balls.
+    # A smooth maximum joins the balls, so that the lesion has no creases.
     blend = 0.08 * radius_mm
     union = -blend * np.log(sum(np.exp(-np.clip(one / blend, -60.0, 60.0)) for one in away))
     own = np.clip(0.5 - union / spacing[0], 0.0, 1.0) * here

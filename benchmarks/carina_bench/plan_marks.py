@@ -60,7 +60,7 @@ def marks_in(rgb: Rgb) -> Marks:
     """Return the marks of a square picture (n, n, 3)."""
     size = rgb.shape[0]
     off = np.array([np.abs(rgb.astype(int) - colour).sum(axis=2) for colour in COLOURS])
-    # A picture has marks of one colour; light walls are not far from the other one.
+    # All marks of a picture have one of two colours: that with most exact pixels. Light walls resemble the other.
     marked = off[int(np.argmax((off == 0).sum(axis=(1, 2))))] < NEAR_RGB
     opening = _enclosed(marked | (rgb == GLYPH_EDGE).all(axis=2))
     half = size // 2
@@ -72,7 +72,7 @@ def marks_in(rgb: Rgb) -> Marks:
 
 
 def _enclosed(marked: Mask) -> Mask:
-    """Return the largest area that marks separate from the rest of the picture."""
+    """Return the mask of the largest area that marks separate from the rest of the picture."""
     size = marked.shape[0]
     # Thickening by a pixel closes gaps where the line is blended with the picture.
     line = marked.copy()

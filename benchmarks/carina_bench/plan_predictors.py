@@ -39,7 +39,7 @@ Say = Callable[[str], None]
 
 SECTION_MM, CHORD_MM = 20.0, 3.0
 FINE_MM = 0.02
-"""Distance of the points at which the second calculation walks along a centreline, mm."""
+"""Distance in mm between the points of a centreline that the comparison calculation uses."""
 TURN_STEP_MM = 0.1
 LIMITS = {"bifurcation_deg": 1.0, "least_mm": 0.1, "curvature_per_mm": 0.005}
 """Maximum differences between Carina's predictors and a calculation from their definitions, by predictor."""
@@ -128,7 +128,7 @@ def _lineage(tree: AirwayTree, branch_id: int) -> list[Branch]:
 def predictor_rows(
     tree: AirwayTree, measures: TreeMeasures, spacing_mm: float, truth: TrueTree | None = None
 ) -> Iterator[Row]:
-    """Yield a row for two places in each tip branch: predictors, second calculation, and the true angle if known."""
+    """Yield a row for two places in each tip branch: predictors, their values by definition, true angle if known."""
     for branch in tree.branches:
         if branch.children or branch.parent is None:
             continue
@@ -148,7 +148,10 @@ def predictor_rows(
 
 
 def _true_angles(tree: AirwayTree, truth: TrueTree, branch: Branch) -> Row | None:
-    """Return the angle of the true fork, and those with one of place, parent's chord and child's chord exchanged."""
+    """Return the true angle of a fork, two mixed angles of a found and a true chord, and the distance of both forks.
+
+    ``parent_deg`` has the found parent's chord, ``child_deg`` the found child's. None without a true fork.
+    """
     lineage = _lineage(tree, branch.id)
     number = next((n for n in range(len(lineage) - 1, 0, -1) if len(lineage[n - 1].children) > 1), None)
     if number is None:
@@ -224,7 +227,7 @@ def _found(folder: Path, name: str, path: str, say: Say) -> tuple[Volume, Airway
 
 
 def main() -> None:
-    """Run the command line: compare both calculations for each case and print the differences."""
+    """Run the command line: compare the predictors with their values by definition, and print the differences."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path, help="Folder in which the CTs with their airways are stored.")
     parser.add_argument("cases", nargs="*", help="Cases, such as phantom-1.")

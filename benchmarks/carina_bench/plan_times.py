@@ -28,7 +28,7 @@ __all__ = ["random_places", "run"]
 Floats = NDArray[np.float64]
 
 MAX_PLAN_S, MAX_VERDICTS_S = 10.0, 60.0
-"""Aims on two cores: seconds from the click to the plan with its first verdict, and of the verdicts."""
+"""Aims in s on two cores: time from the click to the plan with its first verdict, and for verdicts on three routes."""
 PLACES = {
     "near the hilum": ((2, 3), (6.0, 12.0)),
     "middle of the lung": ((4, 5), (8.0, 14.0)),

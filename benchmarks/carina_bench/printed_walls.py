@@ -57,7 +57,7 @@ def wall_thickness(
     for side in (~inner, inner):
         (places,) = np.nonzero(side & far)
         places = places[rng.permutation(len(places))[:points]]
-        # Triangles that join both surfaces exist at the cut end only.
+        # Triangles with a vertex on each surface are excluded: they exist only at the cut end of the trachea.
         other = triangles[(~side)[triangles].all(axis=1)]
         found.append(distances_to_triangles(vertices[places], vertices[other]))
     return WallThickness(found[0], found[1])

@@ -203,7 +203,7 @@ def _frame_at(
 
 
 def _ratios(times: dict[str, Times], best: str) -> dict[str, Any]:
-    """Return two values of each ratio: its median over the rounds, and the ratio of the least times."""
+    """Return two values of each ratio of two times: its median over the rounds, and the ratio of the least times."""
 
     def both(slow: str, fast: str) -> dict[str, float]:
         return {

@@ -31,7 +31,7 @@ __all__ = ["measure", "report"]
 RATE_HZ = 30
 """Number of pictures per second of the flight during which the case is saved."""
 LATE_MS = 50.0
-"""Maximum delay of the latest picture while edits are saved, ms."""
+"""Maximum over the pictures of a flight of the delay of a picture while edits are saved, ms."""
 EDIT_EVERY = 8
 """Number of pictures between two edits; at 30 pictures a second this is about four edits a second."""
 LAYOUT: dict[str, tuple[int, int]] = {LEAD_VIEW: (480, 360)}

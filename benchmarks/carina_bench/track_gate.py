@@ -115,7 +115,7 @@ DEGRADATIONS: dict[str, Degrade] = {
     "small-patient": lambda volume, seed: _noisy(_scaled(volume, 0.6), seed),
     "large-patient": lambda volume, seed: _noisy(_scaled(volume, 1.35), seed),
 }
-"""Functions that degrade a phantom without noise, by the code of the finding that the gate must name."""
+"""Functions that degrade a noiseless phantom, by the code of the finding that the quality gate must report for it."""
 
 
 def degraded(name: str, phantom: Phantom, seed: int) -> tuple[Volume, Truth]:
@@ -154,7 +154,7 @@ def true_generation(volume: Volume, truth: Truth, found_zyx: np.ndarray[Any, Any
 
 
 def named_codes(findings: Sequence[Finding]) -> list[str]:
-    """Return the degradations that findings name; two findings about thick slices are one, cut lungs have a face."""
+    """Return the degradations that findings report; those on thick slices count as one, cut lungs name the face."""
     codes = []
     for finding in findings:
         if finding.code in ("spacing", "uneven"):

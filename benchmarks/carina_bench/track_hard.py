@@ -62,7 +62,7 @@ MIN_PRECISION = 0.98
 MAX_FALSE_MEDIAN, MAX_FALSE = 1, 3
 """Maximum number of false branches of a case: median over the cases, and of any case."""
 RING_MM = (0.1, 0.3, 0.5, 0.7, 0.9)
-"""Distances of the rings from the true wall of a missed lumen, mm."""
+"""Distances in mm, outwards from the true wall of a missed lumen, of the rings on which its wall is searched."""
 NUM_MISSED = 600
 """Approximate number of missed points at which the contrast is measured."""
 NUM_DIRECTIONS = 12

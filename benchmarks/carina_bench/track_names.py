@@ -93,7 +93,7 @@ def run(quick: bool, say: Callable[[str], None]) -> list[Row]:
 
 
 def _true_tree(seed: int) -> AirwayTree:
-    # The box is small, because only the truth is used, which is complete in every box.
+    # A small box saves time: only the truth of the phantom is used, which is complete in any box.
     box = ((-10.0, -10.0, -10.0), (10.0, 10.0, 10.0))
     return AirwayTree.from_json(generate_phantom(seed=seed, spacing_mm=5.0, box_lps=box).truth)
 

@@ -52,7 +52,7 @@ class Target:
     snapped_mm: float | None = None
     length_mm: float | None = None
     problem: str | None = None
-    """Reason, as a message for the user, why the target has no path; None if it has one."""
+    """Reason, as a message for the user, why the target has no path; None if the target has a path."""
     route: ChosenRoute | None = None
     cost: PathCost = "lumen"
     """Name of the edge cost of the path search; see :class:`carina.commands.AddTarget`."""
@@ -67,7 +67,7 @@ class Target:
     lesion: Lesion | None = None
     """The lesion at the target; None for a target in the airways."""
     note: str = ""
-    """Note that the user wrote about the target; empty without one."""
+    """Note that the user wrote about the target; empty if there is no note."""
     priority: int = 1
     """Priority of the target; 1 is the highest."""
 

@@ -284,7 +284,7 @@ class CaseFile:
                 with transaction(connection):
                     writer.write(moment)
             except BaseException:
-                # The writer may have row numbers of rows that the transaction rolled back.
+                # A new writer is made for the next save: this one may refer to rows that the transaction rolled back.
                 self._writer = None
                 raise
             writer.commit_rows()
@@ -439,7 +439,7 @@ class CaseFile:
                 write_source(connection, replace(read_source(connection), path=path))
 
     def extra(self, kind: str) -> tuple[Any, ...]:
-        """Return the extra values of a kind (a plan, a report, scores), in the order of their numbers."""
+        """Return the stored values of a kind outside the history (a plan, a report, scores), in their stored order."""
         with self._lock, convert_disk_errors(self.path):
             rows = (
                 self._checked_connection()
@@ -646,7 +646,7 @@ class CaseFile:
         with self._lock:
             self._checked_connection().backup(copy)
         copy.execute("PRAGMA journal_mode=DELETE")
-        # An incomplete copy is thrown away after a crash, so it needs no flush.
+        # A copy that a crash leaves incomplete is deleted, so SQLite need not flush it to the disk.
         copy.execute("PRAGMA synchronous=OFF")
         with transaction(copy):
             write_source(copy, replace(read_source(copy), path=ct_place))

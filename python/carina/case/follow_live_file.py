@@ -131,8 +131,8 @@ class _GrowingReader(CaseReader):
             present = self.airways_of(steps[position][3])
             if present != self._present:
                 self._present, self._whole_documents = present, None
-                # Documents that were read while the current airways were not the current ones contain them in packed
-                # form.
+                # Documents that were read while other airways were current contain the present airways in packed form;
+                # these documents are read again.
                 folded: object = None if present is None else self._folded.get(present)
                 if folded is not None:
                     self._documents = {row: one for row, one in self._documents.items() if one.airways is not folded}

@@ -33,7 +33,7 @@ class Step(Generic[D]):
 
 
 class History(Generic[D]):
-    """First document, the steps (changes) after it, and the number of steps that are not undone.
+    """Document before all stored steps (changes), these steps, and the number of steps that are not undone.
 
     Parameters
     ----------

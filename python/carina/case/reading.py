@@ -179,7 +179,7 @@ class CaseReader:
         if not 1 <= position + 1 <= len(steps):
             raise damage_error("position in the history", f"0 to {len(steps) - 1}", str(position))
         with self._lock:
-            # The airways of the current step are read first and in full, so that all others share data with them.
+            # The airways of the current step are read first and in full: airways of other steps share data with them.
             present = self.airways_of(steps[position][3])
             if present is not None:
                 self._whole[present] = self.airways(present)
@@ -228,7 +228,7 @@ class CaseReader:
         return row
 
     def _all_measures(self, documents: Sequence[int]) -> tuple[tuple[Any, StoredMeasures], ...]:
-        """Return the airways of documents that were measured, each with its measures."""
+        """Return those airways of the given documents that were measured, each with its measures."""
         measured = dict.fromkeys(self.airways_of(document) for document in documents)
         found = []
         for row in measured:

@@ -58,7 +58,7 @@ def _dots_on(branch: Branch, wall: WallField, wall_mm: float) -> Points | None:
     along = np.concatenate([[0.0], np.cumsum(steps)])
     middle_mm = 0.5 * float(along[-1])
     outer = float(np.median(branch.radius)) + wall_mm
-    # Half of the circumference is visible from one side.
+    # A name may be as high as the outer diameter, because a reader sees only one side of the airway.
     if length > along[-1] - 2.0 or dots.shape[0] * DOT_PITCH_MM > 2.0 * outer:
         return None
     at = middle_mm - 0.5 * length + (columns + 0.5) * DOT_PITCH_MM
@@ -68,7 +68,7 @@ def _dots_on(branch: Branch, wall: WallField, wall_mm: float) -> Points | None:
     tangent = ahead - behind
     tangent /= np.maximum(np.linalg.norm(tangent, axis=1, keepdims=True), 1e-9)
     for turn in range(12):
-        # The first choice is the front, as a person looks at the model.
+        # The front is tried first, because a person usually looks at the model from the front.
         side = np.array([math.sin(turn * math.pi / 6.0), -math.cos(turn * math.pi / 6.0), 0.0])
         out = side - (tangent @ side)[:, None] * tangent
         lengths = np.linalg.norm(out, axis=1, keepdims=True)
@@ -85,7 +85,7 @@ def _dots_on(branch: Branch, wall: WallField, wall_mm: float) -> Points | None:
 
 
 def _outer_points(line: Points, ray: Points, wall: WallField, wall_mm: float, outer_mm: float) -> Points | None:
-    """Return where rays from a centreline leave the wall; None if one does not, near the expected distance."""
+    """Return the points at which rays from a centreline leave the wall; None if a ray leaves it at another distance."""
     reach = np.arange(0.0, outer_mm + 3.0, 0.1)
     points = line[:, None] + reach[None, :, None] * ray[:, None]
     away = wall.distance_mm(points.reshape(-1, 3)).reshape(len(line), len(reach))
@@ -96,7 +96,7 @@ def _outer_points(line: Points, ray: Points, wall: WallField, wall_mm: float, ou
     places = reach[first]
     if np.abs(places - np.median(places)).max() > 1.5:
         return None
-    # Nothing else may be close behind the surface, because the letters would merge with it.
+    # The space outside the wall must be free, because the letters would merge with a neighbouring wall.
     free = wall.distance_mm(line + (places + 1.0)[:, None] * ray)
     if (free > -min(2.45, wall_mm + 0.2)).any():
         return None

@@ -29,7 +29,7 @@ from carina.volume import Volume
 from carina.volume.inserted_structures import picture_mark
 
 MAX_EMBEDDED_BYTES = 20_000_000
-"""Maximum size of a video that is embedded in a notebook; of a larger one only the name is shown."""
+"""Maximum size in bytes of a video that is embedded in a notebook; for a larger video only the file name is shown."""
 
 
 @one_line

@@ -15,7 +15,7 @@ from carina.track.tree.branch_at_point import branch_at_point
 from carina.track.tree.branch_labels import branch_label
 
 AHEAD_MM = 40.0
-"""Distance to the next turn, mm, up to which the caption names the turn."""
+"""Maximum distance in mm along the path from the tip to the next turn for the caption to name the turn."""
 HOUR_MM = 20.0
 """Maximum distance in mm to a turn whose direction the caption states."""
 

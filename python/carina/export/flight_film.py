@@ -37,7 +37,7 @@ class FrameOptions:
     """Instrument of frames whose view has none; None for a pinhole camera of 90 degrees."""
     step_vox: float
     motion: ChestMotion | None = None
-    """Breathing of the patient; None shows that of the recording, or the CT as it is."""
+    """Breathing of the patient; None shows that of the recording, or the CT at rest if the recording has none."""
 
     def motion_of(self, frame: ReplayedPose) -> ChestMotion | None:
         """Return the breathing of the patient in a frame; None if the frame shows the CT as it is."""

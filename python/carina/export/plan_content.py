@@ -150,7 +150,7 @@ def _route_polyline(tree: AirwayTree, route: PlannedRoute, number: int) -> Point
     gap_mm = _distance_to_line_mm(whole, tip)
     if gap_mm > OFF_ROUTE_MM:
         raise _other_tree_error(f"the scope tip of route {number} lies {gap_mm:.1f} mm from this tree's branch")
-    # The line ends before the tip, so that it does not turn back.
+    # The route line ends before the tip, so that its last piece does not turn back.
     if 0 < nearest < len(whole) and _is_past(whole, nearest, tip):
         nearest -= 1
     before = whole[: nearest + 1]

@@ -88,12 +88,12 @@ class CtImages:
         return item
 
     def instance_uids(self, used: Iterable[int]) -> list[str]:
-        """Return the UIDs of the files of some slices, each once."""
+        """Return the SOP instance UIDs of the files that contain the given slices, each UID once."""
         return list(dict.fromkeys(self.slices[k].sop_uid for k in used))
 
     @property
     def image_class(self) -> str:
-        """SOP class UID of the images."""
+        """SOP class UID of the CT's images."""
         return str(self.first.SOPClassUID)
 
     @property
@@ -103,7 +103,7 @@ class CtImages:
 
     @property
     def series_uid(self) -> str:
-        """UID of the series that the written files form."""
+        """UID of the series of the CT's images."""
         return self.slices[0].series_uid
 
     @property
@@ -214,7 +214,7 @@ def _referable(path: Path, series: FoundSeries) -> CtImages:
         doubtful = doubtful_texts(dataset)
         for keyword in doubtful & set(_WHOSE):
             del dataset[keyword]
-        # The names are decoded from the character set of the file, because Carina writes UTF-8.
+        # Carina writes UTF-8, so names are decoded from the character set of the CT's file.
         with without_warnings():
             dataset.decode()
     except Exception as error:  # pydicom raises many kinds of errors on damaged elements

@@ -53,11 +53,11 @@ HANDLE_MM = 5.0
 CHANNEL_MM = 1.5
 """Radius in mm of the two channels to the cast beside the trachea, for the filling and for the air."""
 CELL_MM = 1.0
-"""Side in mm of the cells of the surface at which the halves meet."""
+"""Side in mm of the cells of the parting surface, at which the two halves meet."""
 MIDDLE_SHARE = 0.4
 """Share of the radius round a branch's axis within which the two halves meet."""
 ROUNDS = 3000
-"""Number of averages over the neighbours, by which the surface becomes smooth."""
+"""Number of times that each cell of the parting surface is replaced by the mean of its neighbours, to smooth it."""
 FAR_MM = 50.0
 """Distance in mm that replaces distances beyond those that a `WallField` stores."""
 OVERLAP_CELLS = 3
@@ -334,7 +334,7 @@ class _Parting:
 
     columns: _Columns
     heights: Floats
-    """(nx, nz) y, LPS mm."""
+    """(nx, nz) position y of the parting surface in each column, LPS mm."""
     slopes: Floats
     """(nx, nz) lengths of the vector (1, slope along x, slope along z)."""
 

@@ -53,7 +53,7 @@ class AutoFlight:
             )
         self._path = path
         stops = [mm for mm in path.lookouts_mm if 0.0 < mm < path.length_mm]
-        # The flight moves at constant speed between these times and positions.
+        # Knots of the flight: it moves at constant speed from each time and position to the next.
         times, places, now_s = [0.0], [0.0], 0.0
         for stop_mm in [*stops, path.length_mm]:
             now_s += (stop_mm - places[-1]) / speed_mm_s

@@ -225,7 +225,7 @@ _Law = _CruiseMotion | _InterruptedMotion
 
 
 def _leg_motions(legs: Sequence[Leg], rests: Sequence[bool], speeds_mm_s: Sequence[float]) -> list[_Law | None]:
-    """Return the law of motion of each leg; None for a leg on which the camera only turns."""
+    """Return the distance flown as a function of time for each leg; None for a leg on which the camera only turns."""
     speeds = []
     for leg, speed in zip(legs, speeds_mm_s, strict=True):
         turn_s = leg.turn_rad / TURN_RAD_S

@@ -264,11 +264,11 @@ def _airway_frames(points: Points, mm: NDArray[np.float64], apex_mm: float) -> P
     sums = np.concatenate([np.zeros((1, 3)), np.cumsum(distal, axis=0)])
     step = mm[1] - mm[0]
     numbers = np.arange(len(mm))
-    # The window is narrower towards the ends, so that it stays centred.
+    # The averaging window is narrower near the ends of the airway, so that its middle stays the averaged point.
     reach = np.minimum(np.minimum(numbers, numbers[::-1]), max(int(LOOK_MM / step), 0))
     looks = sums[numbers + reach + 1] - sums[numbers - reach]
     norms = np.linalg.norm(looks, axis=1)
-    # Two airways never leave a fork in opposite directions; defective points might.
+    # A mean direction of length 0 needs opposite directions at a fork, which only defective points have.
     looks = np.where((norms > 1e-9)[:, None], looks / np.maximum(norms, 1e-12)[:, None], distal)
     return _with_up_directions(np.asarray(looks, dtype=np.float64))
 

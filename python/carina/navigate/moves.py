@@ -199,7 +199,7 @@ def move_from_json(value: dict[str, Any]) -> tuple[Move, float]:
         if cls is Steer:
             dt_s = float(fields.pop("dt_s"))
         elif cls is ArmPen:
-            # Which kind of point the button marks does not affect the movement.
+            # Any kind of point is valid here: the kind that the button marks does not affect the movement.
             fields["tool"] = "target" if fields.pop("armed") else None
         elif cls is SetControls:
             controls = dict(fields["controls"])

@@ -103,7 +103,7 @@ class Navigator:
         along = f", path_mm={self._path_mm:.1f}" if self._mode == "path" else ""
         return f"Navigator(mode={self._mode!r}, at_lps=({at}){along}, operator={self._operator!r})"
 
-    # State that views, sliders and the status line read.
+    # Properties for views, sliders and the status line.
 
     @property
     def pose(self) -> Pose:
@@ -139,7 +139,7 @@ class Navigator:
 
     @property
     def limit(self) -> Limit:
-        """Reason why the last movement stopped early: the volume's edge, an end of the path, or nothing."""
+        """Limit that stopped the last movement early: the volume's edge or an end of the path; else ``none``."""
         return self._limit
 
     @property

@@ -112,7 +112,7 @@ class CArmAngles:
     route_key: str
     angles: tuple[CArmAngle, ...]
     why: str | None
-    """Reason why no position suits; None if one does."""
+    """Reason, as text for the user, why no C-arm position suits; None if a position suits."""
     notes: tuple[str, ...] = ()
 
     @property
@@ -332,7 +332,7 @@ def shadow_parts(volume: Volume, tree: AirwayTree) -> ShadowParts:
     """
     lungs = lung_box(volume)
     every = max(round(GRID_MM / lungs.step_mm), 1)
-    # The mean of each block removes the noise that a single voxel would have.
+    # Blocks of voxels are averaged, because a single voxel is noisy.
     corners = volume.to_lps(
         np.array([[i, j, k] for i in (0, 1) for j in (0, 1) for k in (0, 1)]) * (np.array(volume.shape_zyx[::-1]) - 1.0)
     )

@@ -198,7 +198,7 @@ def enclosed(mask: Mask) -> Mask:
 
 def from_faces(mask: Mask) -> Mask:
     """Return the part of a mask that is connected to the faces of its box."""
-    # The margin of one voxel connects all parts that touch a face, and contains the first voxel.
+    # A margin of one voxel connects all parts that touch a face to one part, which also contains the first voxel.
     inner: Mask = numbered_parts(np.pad(mask, 1, constant_values=True))[1:-1, 1:-1, 1:-1] == 1
     return inner
 

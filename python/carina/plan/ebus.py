@@ -244,7 +244,7 @@ class _Finder:
             return self._absent(blank, f"no bronchus of the {_lobe_words(upper)} leaves the fork above it")
         other = max(beside, key=lambda branch: float(np.median(branch.radius)))
         towards = 0.5 * (_place((other,), ANGLE_MM)[0] + _place(pieces, ANGLE_MM)[0]) - pieces[0].points[0]
-        # The second term turns the direction to the other bronchus's side, independent of the curve of this bronchus.
+        # The second term directs the vector to the side of the other bronchus even if this bronchus is curved.
         towards = towards + (_place((other,), ANGLE_MM)[0] - _place(pieces, ANGLE_MM)[0])
         return self._landmark(blank, pieces, min(BEYOND_MM, 0.5 * _length(pieces)), towards, also=(other,))
 

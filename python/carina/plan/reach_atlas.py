@@ -287,7 +287,7 @@ class _Marks:
             if not len(voxels):
                 return
             if attained.any():
-                # The tip is on the side of the airway that faces the target, as in a plan.
+                # Only targets on the tip's side of the airway count: a plan places the tip on the target's side.
                 near = _on_side(centres - place.point_lps, tip - place.point_lps, place.forward)
                 self._mark(voxels[near], centres[near], tip, ways[attained], rank)
 

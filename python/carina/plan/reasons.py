@@ -102,7 +102,7 @@ def plan_reasons(plan: Plan) -> tuple[Reason, ...]:
 
 
 def _distinct(reasons: Iterable[tuple[str, str, Severity]]) -> tuple[Reason, ...]:
-    """Return reasons without those whose text is part of an earlier one."""
+    """Return the reasons without each whose text is contained in the text of an earlier reason."""
     found: list[Reason] = []
     seen: list[str] = []
     for code, words, severity in reasons:
@@ -157,7 +157,7 @@ def _of_airways(route: PlannedRoute) -> _Parts:
 
 
 def _of_tree(plan: Plan) -> _Parts:
-    """Yield the lost airway near the target, and the notes of CT and plan."""
+    """Yield the reasons about an airway near the target that the search lost, and the notes of CT and plan."""
     if plan.lost is not None:
         yield "plan.lost", plan.lost.words, "caution"
     for note in plan.notes:
@@ -201,7 +201,7 @@ def _of_reach(plan: Plan, route: PlannedRoute, verdicts: Sequence[Verdict]) -> _
 
 
 def _of_needle(plan: Plan, route: PlannedRoute) -> _Parts:
-    """Yield the reasons of the needle: what it crosses or passes up to the far edge of the target."""
+    """Yield the reasons about the needle: tissue that it crosses or passes closely up to the far edge of the target."""
     leg = route.leg
     # A needle that misses the target is examined up to the target's near edge.
     far_mm = max((one.end_mm for one in leg.crossed if one.tissue == "target"), default=leg.to_target_mm)

@@ -75,7 +75,7 @@ def grid_axes(volume: Volume) -> tuple[tuple[int, float], tuple[int, float], tup
 
 
 def bounding_radius_mm(points_lps: Matrix, centre_lps: Matrix) -> float:
-    """Return the largest distance of the points from a centre, mm."""
+    """Return the radius in mm of the smallest sphere round a given centre that contains all points."""
     return float(np.linalg.norm(points_lps - centre_lps, axis=1).max())
 
 

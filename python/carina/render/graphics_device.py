@@ -139,7 +139,7 @@ class DeviceCaster:
         if self._backend.mode != "auto" or self._cpu_s_per_pixel is None or num_pixels < MIN_PIXELS:
             return
         if self._compared is not None:
-            # The picture was begun by another thread before the comparison.
+            # Another thread began this picture before the comparison, so its time does not count in the comparison.
             return
         cpu_s = self._cpu_s_per_pixel * num_pixels
         self._num_slow = self._num_slow + 1 if seconds > MAX_SLOWNESS * cpu_s else 0

@@ -17,7 +17,7 @@ from carina.render.views import AirwayView
 from carina.scopes import Pose
 
 MIN_PIXELS = 64 * 64
-"""Minimum number of pixels of a picture whose faster method is measured; for smaller pictures trial rays decide."""
+"""Minimum number of pixels of a picture in which leaps and brute force are timed; in smaller ones trial rays decide."""
 PICTURES_BETWEEN = 32
 """Number of pictures along a flight after which the times of skipping and of brute force are measured again."""
 NEAR_TURN_RAD = 0.25
@@ -50,7 +50,7 @@ CostOf = Callable[[tuple[int, int], bool], float]
 
 
 class LeapChoice:
-    """Choice of the faster method for views of one volume, measured once for views that are near each other.
+    """Choice between leaps (skipped uniform cubes) and brute force for a volume's views, measured once for near views.
 
     All strips of a view and the whole picture have the same choice, so that they fit together bit for bit.
     """

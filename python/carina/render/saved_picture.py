@@ -39,13 +39,13 @@ class PictureMarks:
     letters: bool = True
     """Whether orientation letters (such as R and L) are written at the edges of the picture."""
     scale: bool = True
-    """Scale bar in mm, or the axis of a view along a path."""
+    """Whether a scale bar in mm is drawn, or the axis with distances in a view along a path."""
     names: bool = True
     """Whether names of branches are written into the picture."""
 
 
 def default_marks(view: str) -> PictureMarks:
-    """Return the marks of ``carina render`` without options: letters, and the axis and names of views along a path."""
+    """Return the marks that ``carina render`` draws by default: letters, and axis and names in views along a path."""
     row = VIEWS[view]
     along_path = "route" in row.needs
     return PictureMarks(letters=row.lettered, scale=along_path, names=along_path)

@@ -125,13 +125,13 @@ class ViewRow:
     path. The brush works only in a plane.
     """
     zoom: Literal["tip", "slice", "extent", "path", "carm", "orbit"] | None = None
-    """What the wheel, dragging and the keys move in this view (tip, slice or camera, for example), or None.
+    """Object that the wheel, dragging and the keys move in this view (tip, slice or camera, for example), or None.
 
     It is the tip, the slice stack (with its scale in mm per pixel), the extent of the plane, the reformation, the C-arm
     or the orbit camera.
     """
     plane: Plane | None = None
-    """Anatomical plane of the view, or None."""
+    """Anatomical plane that the view shows; None for a view in no anatomical plane."""
     slab: Literal["window", "call"] | None = None
     """Source of the slab thickness: the window's setting, or only a call's argument; None for views without a slab."""
     windowed: bool = False
@@ -169,7 +169,7 @@ def _grey_settings(s: ViewSettings) -> tuple[float, float]:
 
 
 def _in_hundredths_mm(point: tuple[float, float, float]) -> tuple[float, ...]:
-    # The rounding is far below a pixel, so a rotation of the scope alone does not render new slices.
+    # Rounding to far less than a pixel: a mere rotation of the scope does not render new slices.
     return tuple(round(v, 2) for v in point)
 
 

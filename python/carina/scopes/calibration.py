@@ -239,7 +239,7 @@ def _lens(entries: Entries) -> Lens:
         raise _calibration_error(f"camera_matrix: expected fx 0 cx, 0 fy cy, 0 0 1; found {m}")
     if not (m[0] > 0.0 and m[4] > 0.0):
         raise _calibration_error(f"camera_matrix: expected focal lengths above 0 pixels, found {m[0]:g} and {m[4]:g}")
-    # OpenCV counts from the centre of the first pixel.
+    # OpenCV counts from the centre of the first pixel, Carina from its corner: half a pixel is added.
     centre = (m[2] + 0.5, m[5] + 0.5)
     if not (0.0 <= centre[0] <= width and 0.0 <= centre[1] <= height):
         raise _calibration_error(

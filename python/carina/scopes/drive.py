@@ -240,7 +240,7 @@ class ScopeDrive:
 
     @property
     def field(self) -> WallField:
-        """Field of the wall that constrains the scope."""
+        """Signed distances to the wall that constrain the scope."""
         return self._field
 
     @property

@@ -75,7 +75,7 @@ def fit_generic_optics(fov_deg: float = FOV_DEG) -> FittedOptics:
     Masters 2005, after features.md 5.1 "Optics". Kannala and Brandt 2006 for the polynomial.
     """
     half = math.radians(fov_deg) / 2
-    # One unknown, two figures: the least-squares solution of the logarithms is their geometric mean.
+    # One unknown is fitted to two figures: the least-squares solution of their logarithms is the geometric mean.
     edge = math.sqrt((1.0 / CENTRE_TO_EDGE) * (1.0 + DISTORTION))
     k1 = (edge * math.tan(half) / half - 1.0) / half**2
     face_mm = _fit_face()

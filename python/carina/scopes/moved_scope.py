@@ -40,7 +40,7 @@ def scope_in_moved_patient(
     at, radius_mm = pose.position_lps, tip_mm / 2.0
     red_out = _red_out(moved, at, radius_mm)
     if state.red_out == 0.0 and _red_out(wall, state.pose.position_lps, radius_mm) > 0.0:
-        # The scope has left the wall at its entry, the cut end of the trachea, out of account.
+        # At its entry the scope ignores the wall at the cut end of the trachea, so there is no red-out there.
         red_out = 0.0
     contact, space_mm = state.contact, float(moved.ball_mm(at)[0])
     if contact is not None:

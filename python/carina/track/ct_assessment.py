@@ -27,7 +27,7 @@ from carina.volume.model import Volume
 from carina.volume.quality import Finding, Quality, quality_gate
 
 SHARP_HU = 30.0
-"""Undershoot beside edges above which a kernel is named as sharp."""
+"""Undershoot in HU of lung beside tissue, above which the assessment states that the kernel is sharp."""
 _TOP_MM = 3.0
 """Distance in mm of the tree's start from the face of the CT within which the face cuts the trachea."""
 
@@ -57,7 +57,7 @@ class CtProperty:
     name: PropertyName
     """Name of the property."""
     words: str
-    """What was measured or found, in words."""
+    """Measurement or finding about the property, as a text for the user."""
     limits: bool
     """Whether a finding names this property, because it limits the airway search."""
 
@@ -80,7 +80,7 @@ class CtAssessment:
     statement: tuple[CtProperty, ...] = ()
     """Every property in words, also those that limit nothing; all outputs repeat this statement."""
     compared_pairs: tuple[int, int] = (0, 0)
-    """Number of pairs of neighbouring slices that were compared for a movement of the chest, and number of all."""
+    """Number of pairs of neighbouring slices compared to find a movement of the chest, and number of all pairs."""
 
     @property
     def trusted_generation(self) -> int:

@@ -48,9 +48,9 @@ MAX_NAME = 40
 MAX_BYTES = 256 << 20
 MAX_LEARNERS = 1000
 SAMPLED_OF = 4
-"""Sampling ratio: one pose in so many, selected by its digest, is stored as a digest to recognise replays."""
+"""Sampling ratio: of so many recorded poses, the digest of one is stored, by which a replayed flight is recognised."""
 MAX_VALUE = 1e12
-"""Maximum magnitude of a number of an attempt; greater or infinite numbers come from a damaged file."""
+"""Maximum magnitude of a score or measure of an attempt; greater or infinite numbers come from a damaged file."""
 OWN_ATTEMPTS = "over all attempts of this learner, in their order"
 _VALUES = (
     "diagnostic_completeness", "num_case_segments", "structured_progress", "procedure_time_s",
@@ -72,7 +72,7 @@ class CourseAttempt:
     num_steps_done: int
     num_steps: int
     values: dict[str, float | int | None] = field(repr=False)
-    """Published scores and measures without a mark, by name (`docs/training.md`)."""
+    """Published scores, and measures for which no pass mark is published, by name (`docs/training.md`)."""
     passed: bool
     """Whether the attempt has 18 segments, 18 progressions and less than 120 s."""
     reasons: tuple[str, ...]
@@ -106,7 +106,7 @@ class CourseAttempt:
         )
 
     def repeats(self, earlier: CourseAttempt) -> bool:
-        """Return whether most poses equal those of an earlier attempt; `FlightFrames.repeats` on a sample."""
+        """Return whether most of the sampled poses occur in an earlier attempt, as in a replayed flight."""
         return len(self.poses) > 1 and len(self.poses & earlier.poses) > REPEATED_SHARE * len(self.poses)
 
     def to_json(self) -> dict[str, Any]:
@@ -255,7 +255,7 @@ class Course:
         self._folder = Path(folder)
         self._lock = threading.RLock()
         self._known: dict[Path, tuple[tuple[int, int], Learner | None]] = {}
-        """Content of each file, with the time of its last change and its size."""
+        """Time of the last change, size and learner of each file that was read; no learner if the file is damaged."""
 
     def __repr__(self) -> str:
         """Return the number of learners."""
@@ -342,7 +342,7 @@ class Course:
         """Store the attempt that ``attempt`` returns for the pseudonym of a learner."""
         with self._changing():
             path, _ = self._file_of(name)
-            # Two changes by another process within one tick of the disk's clock leave the same time and size.
+            # Two changes within one tick of the disk's clock may leave time and size equal, so the file is read again.
             self._known.pop(path, None)
             learner = self._learner_in(path)
             if learner is None:
@@ -415,7 +415,7 @@ class Course:
                 raise disk_trouble(error, "cannot lock the learners in", path) from error
             try:
                 end_s = time.monotonic() + LOCK_WAIT_S
-                # A file system without locks returns None: the replacement of the file is atomic there, too.
+                # None (a file system without locks) needs no wait: each file is replaced atomically there, too.
                 while try_lock(descriptor) is False:
                     if time.monotonic() > end_s:
                         raise DiskError(

@@ -36,11 +36,11 @@ LEAST_EDGES = 40
 BIN_MM, NEAR_EDGE_MM, EDGE_OFFSETS = 0.1, 3.5, 12
 """Width in mm of the bins of an edge profile, largest distance from the edge, and number of edge positions."""
 SIGMAS_MM = np.arange(0.15, 2.01, 0.025)
-"""Standard deviations in mm of the Gaussian blur among which the best is chosen."""
+"""Standard deviations in mm of the Gaussian blurs that are compared with the profile of an edge."""
 GAINS = (0.0, 0.25, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0)
-"""Weights of the difference of Gaussians in slices, which makes the overshoot of a sharp kernel."""
+"""Weights that are tried for the difference of Gaussians in slices, which makes the overshoot of a sharp kernel."""
 CLEARLY_BETTER = 0.7
-"""Maximum ratio of the squared errors of two fits with which a larger gain is chosen."""
+"""Maximum ratio of the squared error of a fit with another gain to that of the best earlier fit, to replace it."""
 SURROUND_MM = 0.65
 """Standard deviation in mm of the second Gaussian of the overshoot, added in quadrature."""
 FLAT_HU = (-30.0, 140.0)
@@ -55,7 +55,7 @@ The noise of shoulders and spine differs from that at the lung.
 TREND_MM = 9.0
 """Standard deviation in mm of the local mean that is subtracted from soft tissue: anatomy, not noise."""
 LAG_MM = 6.0
-"""Maximum distance in mm of voxel pairs whose covariance is measured; from half of it on, the covariance fades to 0."""
+"""Maximum distance in mm between voxels whose covariance is measured; beyond half of this distance it is faded to 0."""
 MOST_SPREAD = 4.0
 """Maximum deviation from the local mean, in standard deviations; calcifications and strands of fat are left out."""
 LEAST_VOXELS = 1500
@@ -184,7 +184,7 @@ def _edge_profile(
         return np.empty(0), np.empty(0)
     at = at[np.linspace(0, len(at) - 1, min(len(at), 60_000)).astype(int)]
     runs = along[at[:, 0, None], at[:, 1, None], at[:, 2, None] + np.arange(2 * half + 1)[None]].astype(np.float64)
-    # Every run is turned so that lung comes first.
+    # Runs of voxels that begin in tissue are reversed, so that lung is the first side of every edge.
     turned = runs[:, 0] > runs[:, -1]
     runs[turned] = runs[turned, ::-1]
     low, high = runs[:, :side], runs[:, -side:]
@@ -228,7 +228,7 @@ def _fit(at: Floats, shares: Floats, step: float, *, gains: tuple[float, ...]) -
     best = (np.inf, 0.0, 0.0)
     for gain in gains:
         for sigma in SIGMAS_MM:
-            # The position of an edge is found between its voxels; large voxels make the profile wider than the blur.
+            # Compare with a sampled edge: large voxels make the profile wider than the blur alone.
             off = float(np.square(_sampled_edge(float(sigma), gain, step, places) - y).mean())
             # Without a visible overshoot, gain and width replace each other; the plain blur is then preferred.
             if off < best[0] * (1.0 if gain == best[2] else CLEARLY_BETTER):
@@ -284,7 +284,7 @@ def _covariance(values: Values, spacing_mm: tuple[float, float, float]) -> tuple
     away = np.sqrt(sum((np.arange(-lag, lag + 1) * one).reshape([-1 if a == axis else 1 for a in range(3)]) ** 2
                        for axis, (lag, one) in enumerate(zip(lags, spacing_zyx, strict=True))))  # fmt: skip
     fade = np.clip((LAG_MM - away) / (0.5 * LAG_MM), 0.0, 1.0)
-    # Far lags are few pairs, or what the local mean left of the anatomy.
+    # At large distances the covariance comes from few pairs, or from anatomy that the local mean did not remove.
     covariance *= 0.5 - 0.5 * np.cos(math.pi * fade)
     covariance = np.where(count >= 0.02 * num, covariance, 0.0)
     return covariance * _scale(values, mask, covariance), num
@@ -305,7 +305,7 @@ def _residual(
 
 
 def _scale(values: Values, mask: NDArray[np.bool_], covariance: Floats) -> float:
-    """Return the factor that gives a covariance the differences between neighbours which most of the tissue has.
+    """Return the factor that scales a covariance to the differences between neighbouring voxels in most of the tissue.
 
     Differences of second order contain little of the anatomy, and a few structures or streaks do not change their
     median. The factor is 1 for voxels so large that a covariance has too few distances.
@@ -343,11 +343,11 @@ def _spread_in(spacing_zyx: tuple[float, ...], sigma_mm: float) -> tuple[float, 
 
 
 def _grown(mask: NDArray[np.bool_], spacing_zyx: tuple[float, ...], reach_mm: float) -> NDArray[np.bool_]:
-    """Return a mask and all voxels of the boxes of twice the reach around its voxels."""
+    """Return a mask that also contains each voxel within ``reach_mm``, along every axis, of a voxel of the mask."""
     found = mask
     for axis, one in enumerate(spacing_zyx):
         reach = max(1, round(reach_mm / one))
-        # Sums along the axis count the mask in a window.
+        # The difference of two cumulative sums is the number of mask voxels in a window along the axis.
         pad = [(reach + 1, reach) if a == axis else (0, 0) for a in range(3)]
         sums = np.cumsum(np.pad(found.astype(np.int32), pad), axis=axis)
         high, low = (np.take(sums, np.arange(start, start + mask.shape[axis]), axis=axis) for start in
@@ -358,7 +358,8 @@ def _grown(mask: NDArray[np.bool_], spacing_zyx: tuple[float, ...], reach_mm: fl
 
 def _pair_sums(values: Floats, lags: list[int]) -> Floats:
     """Return the sums of the products of all pairs of values by their distance, (2c+1, 2b+1, 2a+1)."""
-    # The zeros beyond the values prevent pairs across the period. The last slab may be thinner than the longest lag.
+    # A Fourier transform is periodic: zeros are added so that opposite faces form no pairs. The last slab of slices may
+    # be thinner than the longest distance.
     wide = [max(n + lag, 2 * lag + 1) for n, lag in zip(values.shape, lags, strict=True)]
     sums = np.fft.irfftn(np.abs(np.fft.rfftn(values, s=wide, axes=(0, 1, 2))) ** 2, s=wide, axes=(0, 1, 2))
     sums = np.roll(sums, lags, axis=(0, 1, 2))

@@ -41,21 +41,24 @@ class FlightComparison:
     """Differences of a flight from an expert's flight; measures without a published threshold."""
 
     own_time_s: float
-    """Procedure time of the flight, s."""
+    """Procedure time of the compared flight, s."""
     expert_time_s: float
     longest_stay: BranchStay | None
     """Branch with the largest excess of time over the expert's; None if no branch has an excess."""
     compared_share: float
-    """Share of the flight's time at places at which the expert was, 0 to 1; the deviation is defined there."""
+    """Share, 0 to 1, of the frames of the procedure time in which the tip is at a place where the expert's tip was.
+
+    The deviation is defined only in these frames.
+    """
     deviation_mm: float | None
     """Mean distance in mm of the tip from the expert's tip at the same position in the airways; None without one."""
     deviation_variance_mm2: float | None
     """Mean variance of the distance between the tips of the two flights within one second, mm²."""
     worst_mm: float | None
-    """Largest distance between the tips of the two flights, mm."""
+    """Largest distance in mm of the tip of the compared flight from the path of the expert's tip, at the same place."""
     worst_branch: str | None
     worst_s: float | None
-    """Time in s of the largest distance between both tips, from the start of the flight."""
+    """Time in s, from the start of the recording of the compared flight, at which ``worst_mm`` occurs."""
     num_contacts: int
     expert_contacts: int
     touched_only_own: tuple[str, ...]

@@ -44,7 +44,7 @@ class FlightOptics:
 
     @property
     def counted_fov_deg(self) -> float:
-        """Field of view in degrees that counts: that of the recorded picture, at most that of the instrument."""
+        """Field of view in degrees for the scores: that of the recorded picture, at most that of the instrument."""
         return min(self.fov_deg, self.scope.usual_fov_deg)
 
     @property
@@ -101,7 +101,7 @@ class KnownFrames:
 @one_line
 @dataclass(frozen=True, slots=True, eq=False)
 class FlightFrames:
-    """Frames of a flight: frame k is at k / :data:`FRAME_HZ` s and shows the latest pose that is not later."""
+    """Frames of a flight: frame k is at k / :data:`FRAME_HZ` s and has the last pose recorded up to then."""
 
     lps_from_tip: Poses = field(repr=False)
     """(n, 4, 4) pose of the tip at each frame, in the CT at rest, mm; a simulated breathing carries it along."""
@@ -111,7 +111,7 @@ class FlightFrames:
     """(n,) index into ``optics`` of each frame."""
     optics: tuple[FlightOptics, ...]
     complete: bool
-    """Whether the recording has its end, and the attempt at a task ended regularly."""
+    """Whether the recording was finished and its attempt at a task, if any, was completed, stopped or timed out."""
     recorded_poses: Poses = field(repr=False)
     """(m, 4, 4) all recorded poses, mm."""
     recorded_times_s: NDArray[np.float64] = field(repr=False)
@@ -213,7 +213,7 @@ def flight_frames(recording: Recording) -> FlightFrames:
             code="training.too-long",
         )
     pose_times_s, poses = recording.recorded_poses()
-    # The tolerance includes a last pose exactly at a frame, whatever its rounding.
+    # The tolerance includes the frame of a last pose whose time was rounded down.
     num = math.floor(recording.length_s * FRAME_HZ + 1e-6) + 1
     times_s = np.arange(num) / FRAME_HZ
     views = [(float(line["t"]), dict(line["view"])) for line in recording.lines if "view" in line]
@@ -238,7 +238,7 @@ def flight_frames(recording: Recording) -> FlightFrames:
 
 
 def latest_before(known_s: NDArray[np.float64], times_s: NDArray[np.float64]) -> NDArray[np.int64]:
-    """Return for each time the index of the latest known time that is not after it, or 0."""
+    """Return for each time the index of the latest known time that is not after it; 0 if all known times are later."""
     return np.maximum(np.searchsorted(known_s, times_s + 1e-9, side="right") - 1, 0)
 
 

@@ -30,9 +30,9 @@ SOLID_HU, GLASS_HU = 30.0, -600.0
 CORE_SHARE = 0.5
 """Diameter of the solid core of a part-solid nodule as a share of the whole diameter."""
 SURROUNDINGS_MM, WIDER_MM = 60.0, 130.0
-"""Half side in mm of the part of the CT in which blur and noise are measured, and of the part if there is too little.
+"""Half side in mm of the part of the CT in which blur and noise are measured, and of the larger part that replaces it.
 
-A thick-slice CT has few edges across its slices.
+The larger part is used if the first has too few edges or too little soft tissue, as across thick slices.
 """
 CELL_MM = 0.3
 """Maximum size in mm of the cells from which the share of the nodule in a voxel is computed."""
@@ -274,7 +274,8 @@ def free_nodule_position(
         hu = int(volume.hu_zyx[k, j, i])
         if not -980 < hu < -700 or not ((centre > low) & (centre < high)).all():
             continue
-        # The whole check takes a thousand times as long, and most positions of a large nodule contain much tissue.
+        # Most random positions of a large nodule contain too much tissue. This trial rejects them a thousand times
+        # faster than the whole check.
         trial = shape.radius_mm * rng.uniform(-1.0, 1.0, (TRIAL_POINTS, 3))
         trial = np.rint(volume.to_ijk(centre + trial[np.linalg.norm(trial, axis=1) <= shape.radius_mm])).astype(int)
         if (trial < 0).any() or (trial >= size[::-1]).any():

@@ -59,7 +59,7 @@ def poses_csv(score: Score) -> str:
 
 
 def score_values(score: Score) -> dict[str, Any]:
-    """Return the published scores and the measures without a mark, by name."""
+    """Return the published scores, and the measures for which no pass mark is published, by name."""
     document = score.to_json()
     return {**document["published"], **document["without_mark"]}
 

@@ -16,7 +16,7 @@ MASTERY_SOURCE = "Cold 2024, Respiration, 10.1159/000542045"
 """Source: mastery is two procedures with 18 segments, 18 progressions and less than 120 s each."""
 ATTEMPTS_FOR_VERDICT = 6
 NOT_AN_INSPECTION = "mastery is defined for the inspection of all segments"
-"""Reason of every attempt at another task; the doubts of the attempt are listed before it."""
+"""Reason why an attempt at a task other than the inspection of all segments does not count."""
 IN_A_ROW_RULE = "in a row: Carina's reading; the source states no order"
 NOT_COMPARABLE = "measured with another system; not directly comparable"
 VERDICT_SOURCE = "Konge 2011, Respiration 81:483"
@@ -69,7 +69,7 @@ class Mastery:
     reasons: tuple[tuple[str, ...], ...]
     """Reasons why each attempt does not count."""
     basis: str = "over the recordings that you gave, in your order"
-    """Text that names the attempts on which the judgement is based."""
+    """Text for the user that names the attempts on which the judgement is based."""
 
     @property
     def num_counted(self) -> int:

@@ -25,7 +25,7 @@ PICTURE_PX = 64
 MIN_PICTURE_SHARE = 0.01
 """Share of the picture's pixels below which an unoccluded opening does not count as in sight."""
 MIN_CLEAR_SHARE = 0.5
-"""Minimum share of an opening's area, in the picture and not hidden by the wall, of an opening in sight."""
+"""Minimum share of an opening's area, in the picture and not hidden by the wall, for the opening to be in sight."""
 DISK_POINTS = 200
 """Number of points, spread evenly over an opening, from which its visible share is counted."""
 MAX_RED_OUT = 0.5
@@ -54,7 +54,7 @@ class BranchOpening:
     dir_lps: Points = field(repr=False)
     """Unit vector (3,) from the fork to the middle of the opening, LPS."""
     radius_mm: float
-    """Radius in mm of the found lumen there (`Branch.radius`), or of the largest ball that fits, if that is larger."""
+    """Radius in mm of the lumen at ``middle_lps`` (`Branch.radius`), or of the largest ball in it if that is larger."""
 
 
 def branch_openings(
@@ -270,7 +270,7 @@ def _lines_in_lumen(eye: Points, rays_lps: Points, depth_mm: Points, wall: WallF
 
 @functools.lru_cache(maxsize=8)
 def _picture(scope: ScopePreset, fov_deg: float) -> tuple[Points, Points, int, Optics]:
-    """Return the rays (m, 3) of the counted pixels, their places, the number of all pixels, and the optics.
+    """Return rays (m, 3) and places of the pixels in the field of view, number of pixels in the circle, and optics.
 
     The picture is the circle that the instrument's picture of :data:`PICTURE_PX` pixels contains. A place is the
     distance to the right and down from the middle, in radii of the picture. Pixels beyond ``fov_deg`` do not count.

@@ -46,8 +46,8 @@ class QuizQuestion:
     """Pose of the tip: it looks at the opening, or along the branch in which it is."""
     answer: str
     choices: tuple[str, ...]
-    """Names in random order, the right one included; for ``slices`` the clock hours of the openings, ascending, for an
-    operator at the head end."""
+    """Names in random order, the correct one included; for ``slices`` the clock hours of the openings, ascending, for
+    an operator at the head end."""
     place_lps: tuple[float, float, float] | None = None
     """Place at which the three slices of the kind ``slices`` meet, LPS mm."""
 
@@ -180,7 +180,7 @@ def _is_certain(branch: Branch) -> bool:
 
 
 def _choices(name: str, branch: Branch, segments: Sequence[tuple[str, Branch]], rng: random.Random) -> tuple[str, ...]:
-    """Return the right name and the names of the segments that are nearest to it, in random order."""
+    """Return the correct name and the names of the segments nearest to the branch, in random order."""
     middle = branch.points[0]
     others = sorted(
         (one for one in segments if one[0] != name), key=lambda one: float(np.linalg.norm(one[1].points[0] - middle))

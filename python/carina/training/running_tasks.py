@@ -93,7 +93,7 @@ class RunningTasks:
         found: dict[str, str] = {}
         with self._reading:
             now_s = self._clock()
-            # A change since an old reading does not show that the task still runs.
+            # If the last reading is old, a file that has changed since then does not show that its task still runs.
             before = self._seen if now_s - self._read_s < STALE_S else {}
             self._seen, self._read_s = {}, now_s
             with contextlib.suppress(OSError):

@@ -63,7 +63,7 @@ class ScoredContact:
     place_lps: tuple[float, float, float]
     """Position of the tip at the contact, LPS mm."""
     clock_hour: float
-    """Clock hour of the touched wall in the picture."""
+    """Clock hour in the picture of the touched wall, 12 at the top."""
 
 
 @one_line
@@ -75,7 +75,7 @@ class Score:
     diagnostic_completeness: int
     """DC: number of segments seen, 0 to 18."""
     case_segments: tuple[str, ...]
-    """Segments that the case has: the case's own denominator beside 18."""
+    """Published segments that have a named branch in the case; their number is reported beside the maximum of 18."""
     segments_absent: tuple[str, ...]
     """Segments of the 18 without a named branch in the case."""
     structured_progress: int
@@ -430,7 +430,7 @@ class _Openings:
         self.segments = [[index_of(one) for one in segment.branch_ids] for segment in segments]
         """Indices of the openings of each segment."""
         self.num_of_segments = len(ids)
-        """Number of segment openings; they are the first ones in the list."""
+        """Number of openings of segments; in ``openings`` they precede the openings of the task's structures."""
         self.task_openings: list[tuple[str, list[int]]] = []
         """Names and opening indices of the landmarks, or of the structure to keep in the middle."""
         wanted = LANDMARKS if task.kind == "inspect" and task.order == "landmarks" else ()

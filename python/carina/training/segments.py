@@ -52,7 +52,7 @@ def label_of(branch: Branch) -> str:
 
 
 def branches_named(tree: AirwayTree, name: str) -> tuple[Branch, ...]:
-    """Return the branch with a name, or the branches that begin the parts of the segment with this name.
+    """Return the branch with a name, or the first branch of each part of the segment with this name.
 
     If no branch has the whole name, the parts are the topmost branches with the name and a letter (RB7a and RB7b), or
     LB1 and LB2 for LB1+2; none below a branch of another segment. Case and blanks of names are ignored. The result is

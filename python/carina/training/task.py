@@ -65,7 +65,7 @@ class Task:
     place_lps: tuple[float, ...] = ()
     """Planned place of the tip, LPS mm, of the kind ``reach``; empty: the session takes it from the chosen route."""
     aim_lps: tuple[float, ...] = ()
-    """Aim of the needle in the target, LPS mm, of the kind ``reach``; empty as ``place_lps``."""
+    """Aim of the needle in the target, LPS mm, of the kind ``reach``; empty: the session takes it from the route."""
     level: Level = "beginner"
     time_limit_s: float | None = None
     """Time in s after which the attempt ends; None for no limit."""
@@ -109,7 +109,7 @@ class Task:
             raise UsageError(f"Task: {name}: expected {expected}; found {found!r}", code="training.task")
 
     def _wrong_combination(self) -> list[tuple[str, str, object]]:
-        """Return the fields that contradict the kind of the task: name, expected and found value."""
+        """Return the fields that contradict the kind of the task, each as name, expected value and found value."""
         least, most = {"find": (1, 1), "sequence": (2, MAX_NAMES)}.get(self.kind, (0, 0))
         wrong: list[tuple[str, str, object]] = []
         if not least <= len(self.segments) <= most:

@@ -42,13 +42,13 @@ def frames_of(seconds: float) -> int:
 
 
 def first_run(flags: NDArray[np.bool_], seconds: float) -> int | None:
-    """Return the frame at which flags have been true for a time without a break for the first time, or None."""
+    """Return the first frame up to which flags have been true for a time without a break; None if there is none."""
     ends = run_ends(flags.astype(np.int64), seconds)
     return next((frame for frame, value in ends if value == 1), None)
 
 
 def run_ends(values: NDArray[np.int64], seconds: float) -> list[tuple[int, int]]:
-    """Return for each run of one value the frame at which it has lasted for a time, and the value.
+    """Return for each run of equal values the frame at which the run has lasted for a time, and the value.
 
     Runs that are shorter are left out.
     """

@@ -43,7 +43,7 @@ def crc64(data: bytes) -> int:
 
 def _crc64_in_lanes(data: bytes) -> int:
     length = -(-len(data) // _NUM_LANES)
-    # Leading zeros change nothing, because the initial value is 0.
+    # The data are padded with leading zeros, which do not change the checksum, because its initial value is 0.
     padded = np.zeros(length * _NUM_LANES, dtype=np.uint8)
     padded[len(padded) - len(data) :] = np.frombuffer(data, dtype=np.uint8)
     lanes = padded.reshape(_NUM_LANES, length).T

@@ -163,7 +163,7 @@ def _poses(kind: str, name: str, time_s: float, content: bytes) -> list[IgtlPose
         # Nine numbers in float32: a matrix that is not a rotation is rejected, since it has no quaternion.
         if not np.isfinite(rotation).all() or np.abs(rotation.T @ rotation - np.eye(3)).max() > 1e-3:
             raise ValueError("not a rotation")
-        # The test above admits only near-orthonormal matrices, so the determinant is near 1 or near -1.
+        # The orthonormality test admits only determinants near 1 and -1; -1 is a reflection, not a rotation.
         if np.linalg.det(rotation) < 0.0:
             raise ValueError("a reflection, which is not a rotation")
         return [IgtlPose(name, time_s, _three(values[9:]), wxyz_from_rotation(rotation))]

@@ -18,7 +18,7 @@ MAX_LETTERS = 300
 
 @dataclass(frozen=True, slots=True)
 class OwnFile:
-    """User's own file: its JSON document, and the texts and the code of its error messages."""
+    """File that a user wrote (a scope, a tool or a task): its JSON document, and texts and code of its errors."""
 
     where: str
     document: Any

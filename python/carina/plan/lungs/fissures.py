@@ -31,7 +31,7 @@ FROM_BORDER_MM = 30.0
 FROM_EDGE_MM = 3.0
 """Minimum distance in mm of a fissure from the chest wall, whose pleura looks like a plate too."""
 FAINT = 0.5
-"""Share of the minimum curvature that suffices for voxels connected to a fissure."""
+"""Minimum curvature of voxels that are connected to a fissure, as a share of the minimum for a fissure alone."""
 SLAB = 48
 
 
@@ -145,7 +145,7 @@ def _plate_strength(soft: Values, where: Mask, sigma_vox: float) -> tuple[Values
 
 
 def _large_sheets(mask: Mask, step_mm: float) -> Mask:
-    """Return the pieces of a mask of plates that have at least the least area.
+    """Return the pieces of a mask of plates whose area is at least `MIN_MM2`.
 
     A gap of one voxel does not divide a piece.
     """

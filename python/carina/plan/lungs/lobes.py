@@ -176,7 +176,7 @@ def nearest_lobe(
         speed[near_seen & inside] = 1.0 / FISSURE_SLOWS
     times = np.full((len(LOBE_NAMES), *inside.shape), np.inf, dtype=np.float32)
     pieces = _pieces(speed > 0.0)
-    # One thread per processor, because fast marching releases the interpreter lock.
+    # Threads, at most one per processor: they run in parallel, because fast marching releases the interpreter lock.
     pool = ThreadPoolExecutor(min(os.cpu_count() or 1, len(seeds)))
     try:
         fronts = {lobe: pool.submit(_arrival, speed, pieces, at) for lobe, at in seeds.items()}

@@ -29,7 +29,7 @@ SURE = 0.8
 RIM_MM = 3.0
 """Width in mm of the outer layer of the lungs in which no vessels are searched, because it may be chest wall."""
 LUNG_HU = 250.0
-"""Rise above the median density of the lungs, in HU, up to which a voxel counts as lung."""
+"""Maximum density of a voxel of lung, in HU above the median density of the lungs."""
 ROUND_MM, MIN_LUNG = 5.0, 0.35
 """Width in mm of the Gaussian that averages the share of lung round a vessel, and least share of lung.
 
@@ -235,7 +235,7 @@ def _deep_lines(tree: VesselTree, box: Box) -> VesselTree:
 
 
 def _standing_out(inside: Mask, seen: NearbyTissue) -> Mask:
-    """Return the parts of a vessel mask whose confidence, averaged along the vessel, is high."""
+    """Return the mask of the vessel voxels whose confidence, averaged along the vessel, is at least `SURE`."""
     sigma = STRETCH_MM / seen.box.step_mm
     weight = smoothed(inside.astype(np.float32), sigma)
     mean = smoothed(np.where(inside, seen.sure, 0.0).astype(np.float32), sigma)

@@ -294,7 +294,7 @@ def _length(way: NDArray[np.intp]) -> float:
 def _cover(
     owner: NDArray[np.int32], way: NDArray[np.intp], reach: NDArray[np.float64], number: int, vessel: Mask
 ) -> None:
-    """Assign the voxels round the path of a branch that belong to no branch to this branch, in place."""
+    """Assign to a branch those voxels round its path that belong to no other branch, in place."""
     shape = np.array(vessel.shape)
     for at, far in zip(way, reach, strict=True):
         whole = int(np.ceil(far))

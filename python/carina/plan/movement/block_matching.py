@@ -91,7 +91,7 @@ def landmarks(
     xx, yy, zz = tensor[0, 0], tensor[1, 1], tensor[2, 2]
     xy, xz, yz = tensor[0, 1], tensor[0, 2], tensor[1, 2]
     least = xx * (yy * zz - yz * yz) - xy * (xy * zz - yz * xz) + xz * (xy * yz - yy * xz)
-    # The determinant over the sum of the minors approaches the least eigenvalue of the structure tensor.
+    # The determinant divided by the sum of the minors is near the least eigenvalue of the structure tensor.
     minors = (yy * zz - yz * yz) + (xx * zz - xz * xz) + (xx * yy - xy * xy)
     clear = np.where(minors > 0.0, least / np.maximum(minors, 1e-3), 0.0)
     lung = smoothed(((box.hu_zyx < LUNG_HU) & (box.hu_zyx > MIN_HU + 40.0)).astype(np.float32), ROUND_MM / box.step_mm)

@@ -16,7 +16,7 @@ Points = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 NUM_TRIALS = 600
-"""Maximum number of triples of forks from each of which a rigid motion between both CTs is tried."""
+"""Maximum number of triples of forks from each of which a rigid motion from the first to the second CT is tried."""
 RIGID_MM = 15.0
 """Maximum distance in mm of a pair from the rigid motion.
 
@@ -28,7 +28,7 @@ MIN_SIGMA_MM = 8.0
 SLOPE_WEIGHT = 0.3
 """Weight of the penalty for slopes of the local affine motion, as a share of the weight of the pairs."""
 MEAN_WEIGHT = 0.2
-"""Weight of the affine motion of all pairs in each local motion, as a number of pairs."""
+"""Weight, in each local motion, of the affine motion of all pairs, as an equal number of pairs."""
 AT_ONCE = 2000
 
 

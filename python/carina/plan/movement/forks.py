@@ -25,9 +25,9 @@ class ForkShift:
     branch: str
     """Name of the branch that ends in the fork, such as ``RB6``."""
     first_lps: tuple[float, float, float]
-    """Place in the first CT, LPS mm."""
+    """Position of the fork in the first CT, LPS mm."""
     shift_lps: tuple[float, float, float]
-    """Shift in the coordinates of the CTs, mm."""
+    """Shift (x, y, z) of the fork from the first to the second CT, LPS mm, with any shift of the table."""
     residual_mm: float
     """Distance in mm between the measured shift and the shift that the other forks and vessels predict."""
     is_used: bool

@@ -79,7 +79,7 @@ SHARE_WITHIN = 0.9
 MAX_ERROR_MM = 15.0
 """Maximum error in mm that is stated; a measurement with a larger error is no better than the default movement."""
 AGREE_MM = 2.0
-"""Distance in mm up to which the target's own shift always counts as agreeing with its neighbours."""
+"""Distance in mm up to which the shift found for the target itself always agrees with that of its neighbours."""
 TURN_DEG = 4.0
 """Rotation in degrees between both CTs that breathing does not explain; above it the error is enlarged."""
 

@@ -125,7 +125,7 @@ def lung_shares(volume: Volume) -> dict[str, float]:
 
 
 def few_forks(num: int, second: Volume) -> NoResultError:
-    """Return the error for too few forks that both trees name."""
+    """Return the error for trees of two CTs that have too few forks with the same names."""
     forks = "1 fork has" if num == 1 else f"{num} forks have"
     slice_mm = max(second.spacing_mm)
     thick = f"; the slices of the second CT are {slice_mm:.1f} mm apart" if slice_mm > THIN_MM else ""

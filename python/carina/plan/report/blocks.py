@@ -37,7 +37,7 @@ class Bullets:
 @one_line
 @dataclass(frozen=True, slots=True)
 class Facts:
-    """Table of names with their values: the main figures of a section."""
+    """Table of two columns, names and values, with the main results of a section."""
 
     rows: tuple[tuple[str, str], ...]
 

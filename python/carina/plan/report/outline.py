@@ -20,7 +20,7 @@ PAD = 3
 
 
 class NoduleShare:
-    """Share of a nodule at any point, 0 to 1, interpolated between the voxels of the nodule's mask."""
+    """Fraction of the volume at a point that a nodule fills, 0 to 1, interpolated between the voxels of its mask."""
 
     def __init__(self, nodule: Nodule) -> None:
         mask = np.pad(nodule.inside_zyx, PAD).astype(np.float32)

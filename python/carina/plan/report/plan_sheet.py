@@ -123,7 +123,7 @@ class Fork:
     """Fork of the route, with the branches that are not entered there."""
 
     number: int
-    """Number of the fork on the route, from 1."""
+    """Number of the fork, counted along the route from the trachea, from 1."""
     from_name: str
     to_name: str
     to_branch_id: int

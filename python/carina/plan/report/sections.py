@@ -48,7 +48,7 @@ MAX_LINES_BEFORE_TREE = 4
 TREE_BELOW_TARGET, TREE_ALONE = 110.0, 330.0
 """Height of the tree in points, on the first page and on a separate page."""
 NOT_ASKED = "\u2013"
-"""Symbol for a check that was not made because another check decides."""
+"""Symbol in a table of checks for a check that was not made, because the result of another check decides."""
 ANSWERS = {"yes": "yes", "perhaps": "perhaps", "no": "no", "unknown": "?"}
 
 
@@ -76,7 +76,7 @@ def tracing_sections(sheet: PlanSheet) -> tuple[Section, ...]:
 
 
 def _against(sheet: PlanSheet) -> list[Section]:
-    """Return the section with everything against the plan; empty if there is nothing."""
+    """Return the section with the reasons against the plan; an empty list if there is no reason."""
     if not sheet.reasons:
         return []
     warned = tuple(n for n, reason in enumerate(sheet.reasons) if reason.severity == "stop")

@@ -129,7 +129,7 @@ def needle_slice(
     right = way / length if length > 1e-6 else axis / float(np.linalg.norm(axis))
     beside = axis - (axis @ right) * right
     if np.linalg.norm(beside) < 0.05:
-        # The needle follows the airway's axis, so any plane through the needle is suitable.
+        # A needle along the airway's axis defines no plane with the axis, so any plane through the needle is used.
         beside = np.cross(right, np.eye(3)[int(np.argmin(np.abs(right)))])
     # With this downward direction the airway enters the picture from the upper left.
     down = beside / float(np.linalg.norm(beside))

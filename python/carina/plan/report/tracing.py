@@ -79,7 +79,7 @@ class _Row:
     lines: tuple[tuple[str, str], ...]
     """Lines of text with their colours."""
     beside: str = ""
-    """Text behind the title, in the same line."""
+    """Text after the title, in the same line."""
 
     @property
     def text_height(self) -> float:

@@ -16,7 +16,7 @@ from carina.track import AirwayTree, Branch
 
 Points = NDArray[np.float64]
 EVERY_MM = 2.5
-"""Distance in mm between the points of a drawn centreline, which is coarser than the tree's."""
+"""Approximate distance in mm between the points of a drawn centreline; the centrelines of the tree are finer."""
 
 
 @one_line

@@ -142,7 +142,7 @@ def _of_leg(route: PlannedRoute) -> list[str]:
 
 
 def _of_airways(airways: Airways, route: PlannedRoute | None) -> list[str]:
-    """Return sentences about doubtful airways of the route and about doubts on all airways.
+    """Return sentences about doubtful airways of the route, and about doubts that concern the whole tree.
 
     Airways that were lost near the target are among the plan's notes.
     """

@@ -63,7 +63,7 @@ class AttainableTip:
     forward: Points
     """(3,) unit vector in the direction of the needle."""
     off_deg: float
-    """Angle in degrees between this direction and the direction to the aim."""
+    """Angle in degrees between ``forward`` and the direction to the aim."""
 
 
 @one_line
@@ -159,7 +159,7 @@ class TipDirections:
             edge = min(edge, math.asin(min(radius_mm / distance, 1.0)))
         ways, angles = _rings(towards, edge)
         fit = np.flatnonzero(self._rigid_fits(tip, ways, radius))
-        # The nearest direction is mostly attainable, so it is tested before the others.
+        # The direction nearest to the aim is tested alone first, because it is attainable in most places.
         for part in (fit[:1], fit[1:]):
             bent = part[self._bends(place, tip, ways[part], radius)]
             if bent.size:

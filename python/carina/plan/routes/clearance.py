@@ -63,7 +63,7 @@ def ball_diameters_mm(branch: Branch, wall: WallField | None) -> Points:
         return own
     points = branch.points
     middle, best, ring = _middle(points, wall)
-    # The distance is measured half-way to the wall in all directions; towards the nearest wall it decreases linearly.
+    # Probe half-way to the wall: towards the nearest wall, distance to the wall plus offset is the radius.
     off = 0.5 * np.maximum(best, 0.0) + HALF_SAMPLE_MM
     tried = middle + off[:, None] * ring
     nearest = (wall.distance_mm(tried.reshape(-1, 3)).reshape(NUM_ROUND, -1) + off).min(axis=0)

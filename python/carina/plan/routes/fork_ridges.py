@@ -32,7 +32,7 @@ BEHIND_MM = 1.0
 HALF_PLATE_MM = 0.2
 """Half of the thickness in mm of an extending plate: what the blur of a CT hides is thin."""
 MAX_RIDGES = 32
-"""Largest number of ridges of a wall field; the last ones of a longer route count."""
+"""Maximum number of ridges of a wall field; of a route with more forks, the ridges nearest to its end are used."""
 HIDDEN_SHARE = 0.37
 """Length of a ridge that the CT hides in 95 % at most, as a share of the CT's coarsest spacing.
 
@@ -57,7 +57,7 @@ class ForkRidge:
     """Half of the length of the edge, mm."""
 
     def plate_lps(self, longer_mm: float) -> Points:
-        """Return the plate (3, 3) of `WallField.with_ridges` that extends the ridge by a length, LPS mm.
+        """Return the plate (3, 3), for `WallField.with_ridges`, that extends the ridge into the parent, LPS mm.
 
         Parameters
         ----------

@@ -36,7 +36,7 @@ BEYOND_MM = 10.0
 CROSSED_VESSEL_MM = 0.05
 """Distance in mm from the needle's line below which a vessel counts as crossed; a text would round it to 0.0."""
 OPEN_MM = 0.8
-"""Maximum distance in mm between target and lumen at which the needle need not pierce the wall."""
+"""Maximum length in mm of the needle path outside the lumen, before the target, at which no wall need be pierced."""
 
 
 @one_line

@@ -142,7 +142,7 @@ def measured_lumen(lineage: Sequence[Branch], wall: WallField, measures: TreeMea
 
 
 def _limited(axis: Points, radius: Points) -> Points:
-    """Return radii of which no ball on the axis contains the narrower lumen at another point of the axis.
+    """Return radii limited so that no ball on the axis extends beyond the narrower lumen at another point of the axis.
 
     Without this limit, the balls beside a short stenosis would fill the stenosis.
     """
@@ -157,9 +157,9 @@ class _BranchLumen:
 
     middle_lps: Points
     radius_mm: Points
-    """NaN where it is unknown."""
+    """Radius (n,) of the lumen, mm; NaN where it is unknown."""
     error_mm: Points
-    """Half of the interval of the diameter, mm; NaN where it is unknown."""
+    """Half (n,) of the 90 % interval of the diameter, mm; NaN where it is unknown."""
     is_open: NDArray[np.bool_]
     """Flags (n,): whether the lumen could not be measured at the point, so that its width is unknown."""
     is_sound: NDArray[np.bool_]

@@ -84,7 +84,7 @@ RoutePlace = tuple[int, float, int]
 """ID of the branch that contains a tip, the tip's distance from the root in mm, and the index of the aim."""
 
 PLANNED_SCOPE = "thin"
-"""Scope of a plan without a stated scope: the thinnest one whose channel takes a needle of 1.8 mm."""
+"""Scope of a plan if the caller states none: the thinnest whose channel lets a needle of 1.8 mm pass."""
 MAX_ANGLE_DEG = 100.0
 """Maximum angle in degrees between needle and airway's axis; a needle at a larger angle would hit the scope."""
 MAX_ROUTES = 5
@@ -659,7 +659,7 @@ class _PositionSearch:
 
 @dataclass(frozen=True, slots=True)
 class _DraftRoute:
-    """Route without the needle's errors, and what the path to it demands of a scope."""
+    """Route computed without the needle's errors, and what its path requires of a scope: width, bend, doubts."""
 
     route: PlannedRoute
     asked: Demands

@@ -131,7 +131,7 @@ class Ways:
         return self._origins[branch_id]
 
     def asks(self, n: int, section_mm: float | None) -> Demands:
-        """Return the requirements of the path to point ``n`` for a scope: width, bend and doubts.
+        """Return the width and the bend that a scope needs for the path to point ``n``, and the doubts about this path.
 
         Parameters
         ----------
@@ -221,7 +221,7 @@ class Places(Ways):
         return np.array(chosen, dtype=np.intp)
 
     def beside(self, spots: Iterable[tuple[int, float]]) -> Places:
-        """Return a copy with places `FINE_MM` apart round given places.
+        """Return a copy that contains only scope positions `FINE_MM` apart, round given ones.
 
         Parameters
         ----------

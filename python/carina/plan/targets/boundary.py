@@ -148,7 +148,7 @@ class Boundary:
         self.box = box
         self._look = look
         """Callback before each step; it may raise CancelledError."""
-        # Thick slices blur the boundary too.
+        # Slices thicker than 1.5 mm blur the boundary more.
         self.blur = max(1.0, coarsest_mm / 1.5)
         self.smooth = smoothed(box.hu_zyx, SMOOTH_MM / box.step_mm)
         very = smoothed(box.hu_zyx, SEED_SMOOTH_MM / box.step_mm)
@@ -253,7 +253,7 @@ class Boundary:
                 whole = component_at(found.inside | _only(self.seed, whole.shape), self.seed)
         self._look()
         depth = ball_distance(whole, self.box.step_mm)
-        # Centre of the largest ball inside the mask.
+        # The ascent from the seed ends at the centre of the locally largest ball inside the mask.
         peak = uphill(depth, self.seed)
         radius = float(depth[peak])
         for opening_mm in self._openings_mm(radius):

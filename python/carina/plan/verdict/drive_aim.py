@@ -26,7 +26,7 @@ SEARCHED_MM = 5.5
 GAIN, MAX_CHANGE_DEG, MAX_MOVES = 0.8, 30.0, 12
 FLEXION_MAX_DEG = 210.0
 GOOD, ENOUGH = 0.95, 0.5
-"""Shares of needles that hit at which the aiming stops, and below which a grid of holds is tried.
+"""Share of simulated needles that hit at which the aiming stops, and share below which a grid of holds is tried.
 
 A hold is a pair of roll and lever setting.
 """

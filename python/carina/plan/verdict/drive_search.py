@@ -43,7 +43,7 @@ BEND_BEHIND_MM, BEND_AHEAD_MM = 45.0, 8.0
 AT_FORK_MM = 12.0
 """Distance from a fork in mm within which a stop of the drive is reported as a stop at this fork."""
 HOOKING = 0.5
-"""Probability with which a drawn rule pulls the lever at each fork (`_Rule.hook`)."""
+"""Probability with which a randomly drawn steering rule pulls the lever at each fork (`_Rule.hook`)."""
 HOOK_BLOCKED_STEPS = 4
 PAST_FORK_MM = 6.0
 """Distance in mm beyond a fork up to which the fork still counts as the next one."""

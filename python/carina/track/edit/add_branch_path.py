@@ -238,7 +238,7 @@ def drawn(chain: Points) -> Points:
     step_mm = along[-1] / (len(fine) - 1) if along[-1] > 0.0 else 1.0
     reach = int(np.ceil(3.0 * SMOOTH_MM / step_mm))
     weights = np.exp(-0.5 * (np.arange(-reach, reach + 1) * step_mm / SMOOTH_MM) ** 2)
-    # Mirroring the line through its ends keeps the ends in place.
+    # The line is continued by its point reflection at each end, so that smoothing does not move the ends.
     before, after = 2.0 * line[:1] - line[1 : reach + 1][::-1], 2.0 * line[-1:] - line[-reach - 1 : -1][::-1]
     padded = np.concatenate([before, line, after])
     if len(padded) == len(line) + 2 * reach:

@@ -239,7 +239,7 @@ class Evidence:
         back, on = places(at) - places(at - BEND_MM), places(at + BEND_MM) - places(at)
         lengths = np.linalg.norm(back, axis=1) * np.linalg.norm(on, axis=1)
         bend = 1.0 - (back * on).sum(axis=1) / np.maximum(lengths, 1e-6)
-        # The ends of a line have no direction.
+        # The bend is set to 0 near the ends of a line, where one of its two directions cannot be measured.
         bend[:HALF_SECTIONS] = bend[-HALF_SECTIONS:] = 0.0
         return Sections(
             at_mm=at,

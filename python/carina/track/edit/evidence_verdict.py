@@ -86,7 +86,7 @@ class Sections:
     at_mm: Values
     """Distance (n,) of each section from the start of the path, mm."""
     own: Values
-    """Voxel value (n,) in the middle of each section, smoothed."""
+    """Smoothed voxel value (n,) in the middle of each section, on the path."""
     rise: Values
     """Rise (n,) above the middle that four fifths of the sides of a section reach within 3 mm."""
     far_rise: Values

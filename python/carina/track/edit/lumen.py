@@ -244,7 +244,7 @@ def air_voxel(lumen: EditedLumen, start: NDArray[np.int64]) -> NDArray[np.int64]
 
 
 def grown_beyond(lumen: EditedLumen, start: NDArray[np.int64]) -> Voxels:
-    """Return the lumen round a voxel of air, grown by the method of the automatic search, with its leak control."""
+    """Return the lumen round a voxel of air, grown as in the automatic search, with its protection against leaks."""
     volume = lumen.volume
     scale = air_scale(volume)
     low, high = _box_round(volume, start, GROWTH_REACH_MM)
@@ -369,7 +369,7 @@ def _way(
 
 
 def by_faces(way: Voxels) -> Voxels:
-    """Return a path with voxels added where two share only an edge or a corner, as such a step may be closed."""
+    """Return a path with voxels added so that consecutive ones share a face: lumen may not connect across an edge."""
     found = [way[0].astype(np.int64)]
     for voxel in way[1:].astype(np.int64):
         for axis in range(3):

@@ -134,7 +134,7 @@ class EditSteps:
         if plan.doubtful.any() and not even_without_evidence:
             raise no_evidence(plan)
         if len(plan.voxels):
-            # Leave out the part in the tube that the path leaves, whose wall is known.
+            # Measure only the points outside the lumen: the wall of the tube that the path leaves is already known.
             outside = plan.points[~self.lumen.core.inside(plan.points)]
             tube = tube_round(self._volume, outside, missed_radii(self._volume, outside))
             line = voxels_along(self._volume, plan.points)
@@ -344,7 +344,7 @@ class EditSteps:
 
     def _paint(self, edit: PaintLumen) -> None:
         grid = self.lumen.grid
-        # The brush covers whole voxels of the displayed CT.
+        # The brush selects whole voxels of the displayed CT, which the grid of the edit may divide.
         voxels = grid.voxels_in(painted_voxels(grid.ct, edit))
         is_lumen = nodes_at(self.lumen.core, self._volume.to_lps(voxels.astype(np.float64))) >= 0
         voxels = voxels[is_lumen == edit.erase]
@@ -440,7 +440,7 @@ class EditSteps:
             if fits.all() and not (len(voxels) and self._wall_moved(was)):
                 continue
             branch_id = was.id
-            # The branch was removed with its parent, or joined with it.
+            # An earlier iteration removed the branch with its parent, or joined it with the parent.
             if branch_id not in self.draft:
                 continue
             branch = self.draft[branch_id]

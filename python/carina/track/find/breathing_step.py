@@ -58,7 +58,7 @@ def steps_of(drops: Floats) -> tuple[int, ...]:
 
 
 def similarity_drops(volume: Volume, scale: AirScale, is_changed: NDArray[np.bool_] | None) -> Floats:
-    """Return for each pair of neighbouring slices its similarity below that of the pairs before and after it.
+    """Return, for each pair of neighbouring slices, by how much it is less similar than the pairs before and after it.
 
     The value is NaN for a pair that cannot be compared: with too little lung, with streaks, or near the ends.
     """

@@ -37,7 +37,7 @@ def edge_undershoot_hu(volume: Volume, scale: AirScale) -> float | None:
         the voxels are too long.
     """
     found = sorted(depth for depth in undershoots_hu(volume, scale) if depth is not None)
-    # A kernel sharpens in the slice; across slices there may be less undershoot.
+    # The two largest are usually those of the axes in the slice: a kernel sharpens there, less across slices.
     return None if not found else float(np.mean(found[-2:]))
 
 

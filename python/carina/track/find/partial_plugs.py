@@ -148,7 +148,7 @@ def _centre_between_walls(
     for shift in _shifts(radius):
         away = np.hypot(plane.off_mm[..., 0] - shift[0], plane.off_mm[..., 1] - shift[1])
         inside = away <= INNER * radius
-        # The best circle contains all of the air and no lung.
+        # The best circle has the least air outside and lung inside it; of equal circles the least shifted is used.
         wrong = float((air & (away > radius)).sum() + (lung & inside).sum()) + 1e-3 * float(np.hypot(*shift))
         if best is None or wrong < best[0]:
             best = wrong, shift

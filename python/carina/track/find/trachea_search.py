@@ -125,7 +125,7 @@ def trachea_in(
         raise NoResultError(problem)
     voxels = found["voxels_ijk"]
     points = volume.to_lps(voxels)
-    # Voxels higher up are larynx and throat.
+    # Voxels farther from the carina than the length of the longest trachea belong to larynx and throat.
     longest_mm = longest_trachea_mm(float(np.median(found["diameters_mm"])))
     near = np.linalg.norm(points - found["carina_lps"], axis=1) <= longest_mm
     voxels, points = voxels[near], points[near]

@@ -39,7 +39,7 @@ class Plane:
     off_mm: Floats
     """(n, n, 2) offset of each sample from the centre of the plane, in mm along ``across``."""
     step_mm: float
-    """Distance in mm between neighbouring samples of the cross-section's picture."""
+    """Distance in mm between neighbouring samples of the plane."""
     across: Points
     """(2, 3) unit vectors that span the plane, LPS."""
 

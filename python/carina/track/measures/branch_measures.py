@@ -257,7 +257,7 @@ class TreeMeasures(Tabular):
     noise: float
     """Standard deviation of the voxel values in the trachea, in the unit of the volume (HU for a CT in HU)."""
     notes: tuple[str, ...] = ()
-    """Texts about the measurement, such as a blur that could not be measured."""
+    """Notes for the user on the measurement, such as that the blur of the CT could not be measured."""
     _keys: tuple[bytes, ...] = dataclasses.field(default=(), repr=False)
     """Cache key of each branch: the data from which the branch was measured (see :func:`measure_tree`)."""
     _measured: tuple[Branch, ...] = dataclasses.field(default=(), repr=False)
@@ -596,7 +596,7 @@ def _normals(branch: Branch, tree: AirwayTree) -> Floats:
         points = tree.branch(branch.parent).points
         before = points[-2] if len(points) > 1 else None
     normals = directions(branch.points, branch.radius, before)
-    # A branch without a direction has no length; its section is parallel to the slices.
+    # A branch of length 0 has no direction; its section is placed parallel to the axial plane.
     normals[np.linalg.norm(normals, axis=1) < 0.5] = [0.0, 0.0, 1.0]
     return normals
 

@@ -76,7 +76,7 @@ class ReferenceDiameter:
     error: float
     """Half of the 95 % interval of the diameter, as a share of ``mm``."""
     source: str
-    """Source as in :attr:`Stenosis.reference_from`."""
+    """Origin of the expected diameter, with the values of :attr:`Stenosis.reference_from`."""
 
 
 @one_line
@@ -213,7 +213,7 @@ def diameter_by_neighbours(
         rest = whole - sum(float(s or 0.0) ** MURRAY_POWER for s in siblings_mm)
         if rest > 0.0:
             logs.append(np.log(rest) / MURRAY_POWER)
-            # The difference of cubes has the full error of the parent's cube.
+            # The error is relative to the difference of cubes, which has the full error of the parent's cube.
             errors.append(NEIGHBOURS_ERROR * whole / rest)
     if all(child is not None for child in children_mm):
         logs.append(np.log(sum(float(c or 0.0) ** MURRAY_POWER for c in children_mm)) / MURRAY_POWER)

@@ -187,7 +187,8 @@ def passage_of(
     model = np.array([_median_of_sorted(np.sort(error[row])) for row in near])
     medians = _with_true_spread(at, value, medians, near, ~is_fork)
     fork_share = np.array([is_fork[row].mean() for row in near])
-    # One narrow section may be an error. Two beyond the error are a narrowing that is too short for the median.
+    # One narrow section may be an error. Two that are narrow beyond their error are a short narrowing, which the
+    # running median would hide.
     agreed = np.array([row[min(1, len(row) - 1)] for row in rows])
     diameter = np.fmin(medians, np.fmax(agreed + model / SECTION_ERROR, value))
     dip = diameter - np.fmin(diameter, np.array([row[0] for row in rows]))
@@ -301,7 +302,7 @@ def _with_true_spread(
     num = float(np.median(near[np.ix_(own, own)].sum(axis=1)))
     if num < 2.0:
         return median_mm
-    # A section that is itself the median deviates by 0 and does not measure the noise.
+    # Deviations of 0 are left out: a section that is itself the running median does not show the noise.
     deviation = 1.4826 * float(np.median(np.abs(rest[rest != 0.0])))
     variance = np.square(deviation) * num / (num - 1.0)
     scale = float(np.sqrt(np.sum(np.square(rest[:-1])) * np.sum(np.square(rest[1:]))))

@@ -245,7 +245,7 @@ def _on_side(name: str, is_mirrored: bool) -> str:
 
 def _segments(keys: Sequence[str]) -> Iterator[str]:
     for key in keys:
-        # One patient in six has a subsuperior bronchus; LB1 and LB2 are the halves of LB1+2.
+        # Subsuperior segments are left out: only one patient in six has one. LB1 and LB2 count together as LB1+2.
         if key.endswith("*") or key == "LB2":
             continue
         yield "LB1+2" if key == "LB1" else key
@@ -417,7 +417,7 @@ class _NamedTree:
         return self._unnamed.get(branch_id, frozenset())
 
     def _holder(self, segments: frozenset[str], chain: Sequence[Branch], below: Sequence[Branch]) -> Branch | None:
-        """Return the unnamed branch nearest to an airway's end that leads to the segments, or None."""
+        """Return an unnamed branch near an airway's end that leads to the given segments; None if there is none."""
         near = [
             branch
             for branch in below

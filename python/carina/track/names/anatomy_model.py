@@ -325,7 +325,7 @@ def _add_lobe(build: _Builder, of: _Lobe, segments: dict[str, Segment]) -> None:
         if len(whole) == 1 or whole == halved:
             continue
         seen = frozenset(_short(key) for key in whole)
-        # Each unordered pair is added once: by the part with the first key.
+        # Only parts that contain the first key are tried, so that each unordered pair of parts is added once.
         first = min(whole, key=keys.index)
         parts = [part for part in sets if part < whole and first in part]
         apt = [

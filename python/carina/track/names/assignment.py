@@ -417,7 +417,7 @@ class Solver:
         )
 
     def _spread_shrink(self, post: Array, sums: Array, own: Array) -> Array:
-        """Move probability from states with missing parts to the states that they stand for; the rest remains."""
+        """Move a part of the probability of each state with missing parts to the states that it may stand for."""
         spread = post.copy()
         for state, others, odds in reversed(self.grammar.shrink):
             if spread[state] <= 0.0 or not np.isfinite(sums[state]):
@@ -429,7 +429,7 @@ class Solver:
         return spread
 
     def _outward(self, number: int) -> None:
-        """Compute the probabilities of the child bronchi's states from those of their parent."""
+        """Compute the probabilities of the states of a bronchus's children from those of the bronchus."""
         post = self.posts[number]
         if not len(post):
             post = self.posts[number] = np.zeros(len(self.grammar))

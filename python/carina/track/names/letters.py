@@ -34,7 +34,7 @@ def letter_order(middles: Sequence[NDArray[np.float64]], rule: LetterRule) -> tu
         Rule for the order.
     """
     points = np.array(middles)
-    # The sibling with the larger coordinate comes first, along each axis.
+    # On the axis that decides, the sibling with the larger coordinate gets the first letter.
     spread = np.ptp(points, axis=0)
     axis = 1 if rule is LetterRule.BACK_FIRST else max((2, 0, 1), key=lambda a: (float(spread[a]), -a))
     order = sorted(range(len(points)), key=lambda k: (-float(points[k][axis]), k))
@@ -43,7 +43,7 @@ def letter_order(middles: Sequence[NDArray[np.float64]], rule: LetterRule) -> tu
         apart = points[before] - points[after]
         along = float(apart[axis]) ** 2
         if rule is LetterRule.BACK_FIRST:
-            # Siblings that lie side by side are hardly ordered by this rule.
+            # The order is uncertain if siblings lie mainly side by side instead of one behind the other.
             against = 0.5 * float((apart**2).sum() - along)
         else:
             # Another axis that implies the opposite order, with nearly the same distance, makes the order uncertain.

@@ -60,7 +60,7 @@ TURN_SPREAD_RAD = math.radians(15.0)
 MAX_TURNS, MIN_TURN_RAD = 12, math.radians(0.1)
 """Maximum number of rotations of the body axes, and the rotation (rad) below which they have converged."""
 MIN_GAIN = 1.5
-"""Gain of log evidence that a fit of the body axes' three angles reaches by noise alone: half their number."""
+"""Gain of log evidence that a fit of the three angles of the body axes reaches by noise alone: 0.5 for each angle."""
 MIN_READ_FOR_FRAME = 6.0
 """Minimum expected number of bronchi with an assigned state for which the body axes are refined by their directions."""
 MIN_BRANCHES = 12
@@ -684,7 +684,7 @@ def _lobes_of(read: _Named) -> dict[int, str | None]:
             own[number] = own[bronchus.parent]
         lobe = own[number]
         sided = None if lobe is None else _on_patient_side(lobe, mirrored=read.mirrored)
-        # Twigs and stubs below get this lobe first; bronchi below come later and overwrite it.
+        # All branches below get this lobe; a later iteration replaces the lobe of each that is a bronchus.
         for piece in (*bronchus.pieces, *bronchus.below):
             found[piece] = sided
     return found

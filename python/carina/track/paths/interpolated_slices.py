@@ -74,7 +74,7 @@ def _coefficients(values: NDArray[np.float32]) -> NDArray[np.float32]:
     pole = np.float32(POLE)
     values *= np.float32((1.0 - POLE) * (1.0 - 1.0 / POLE))
     terms = np.arange(NUM_TERMS)
-    # Sum over the stack, mirrored infinitely.
+    # The first coefficient is a sum over the stack, which is mirrored at both ends without end.
     values[0] = np.tensordot((POLE**terms).astype(np.float32), values[_mirrored(terms, num)], axes=1)
     for k in range(1, num):
         values[k] += pole * values[k - 1]

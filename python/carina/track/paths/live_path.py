@@ -63,7 +63,7 @@ class LumenPaths(Protocol):
         ...
 
     def new_share(self, node: int) -> tuple[float, int | None]:
-        """Return the length share of a path outside the tree, and the branch where this part starts."""
+        """Return the share of a path's length that is outside the tree, and the branch where this part starts."""
         ...
 
 
@@ -214,7 +214,7 @@ def noise_hu(volume: Volume, points_lps: NDArray[np.float64], scale: AirScale) -
     if len(points_lps) < 30:
         return 20.0
     values = sampled(volume, np.asarray(points_lps), nearest=True) / scale.span(1.0)
-    # From the quartiles, so that a polyp or a tube in the airway has no effect.
+    # The deviation is estimated from the quartiles, so that a polyp or a tube in the airway has no effect.
     low, high = np.quantile(values, [0.25, 0.75])
     return float(max((high - low) / 1.349, 1.0))
 
@@ -228,7 +228,7 @@ def _perpendicular_vectors(
     along = path[np.minimum(place + 2, last)] - path[np.maximum(place - 2, 0)]
     length = np.linalg.norm(along, axis=1, keepdims=True)
     along = np.where(length > 0.0, along / np.maximum(length, 1e-9), np.array([0.0, 0.0, 1.0]))
-    # Any axis that is not parallel to the path, made perpendicular to it.
+    # Of the axes x, y and z the one least parallel to the path is made perpendicular to the path.
     other = np.eye(3)[np.argmin(np.abs(along), axis=1)]
     u = np.cross(along, other)
     u /= np.linalg.norm(u, axis=1, keepdims=True)
