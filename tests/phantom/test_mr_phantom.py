@@ -33,7 +33,7 @@ def test_signal_of_soft_tissue_air_lung_and_fat_follows_their_protons(clean):
     ct = chest(clean, seed=2, generations=3)
     shape = np.minimum(ct.volume.shape_zyx, clean.volume.shape_zyx)
     assert np.abs(np.array(ct.volume.shape_zyx) - clean.volume.shape_zyx).max() <= 1
-    # The same places in both volumes: the grids differ by a part of a voxel only.
+    # Equal indices are at nearly equal positions in both volumes, because their grids differ by less than a voxel.
     assert np.allclose(ct.volume.lps_from_ijk[:3, 3], clean.volume.lps_from_ijk[:3, 3], atol=3.0)
     hu = ct.volume.hu_zyx[: shape[0], : shape[1], : shape[2]]
     value = clean.volume.hu_zyx[: shape[0], : shape[1], : shape[2]]

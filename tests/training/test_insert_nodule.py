@@ -49,7 +49,7 @@ def test_shares_of_voxels_sum_to_the_volume_of_the_nodule(chest, made, diameter_
     shape = NoduleShape.of_volume(diameter_mm, spiculation, 5)
     _, share = voxel_shares(chest.volume, chest.volume.centre_lps, shape, made.texture)
     voxel_mm3 = abs(np.linalg.det(chest.volume.lps_from_ijk[:3, :3]))
-    # The limit of the issue is 5 %; cells of 0.3 mm cause 1.5 % in a nodule of 4 mm.
+    # The requirement is 5 %; cells of 0.3 mm cause an error of 1.5 % in a nodule of 4 mm.
     assert share.sum() * voxel_mm3 == pytest.approx(np.pi / 6.0 * diameter_mm**3, rel=0.03)
     assert share.min() > -0.2
     assert share.max() < 1.2

@@ -29,7 +29,7 @@ def field_of(distance, *, long_mm=60):
     return WallField.from_distances(np.clip(distance(x, y, z), -2.5, 4.5).astype(np.float32), matrix)
 
 
-# A wide lumen whose walls are far from all lines of sight of these tests.
+# Wall field of a wide lumen whose walls are far from all lines of sight of these tests.
 WIDE = field_of(lambda x, _y, _z: 29.0 - np.abs(x))
 
 
