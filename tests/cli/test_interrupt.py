@@ -65,7 +65,7 @@ signal.signal(signal.SIGINT, signal.default_int_handler)
 from carina.cli import main
 
 class Sign:
-    # Tells that main() has begun and is loading its libraries.
+    # Report that main() has begun and is loading its libraries.
     def find_spec(self, name, path=None, target=None):
         if name == "carina.cli.app":
             print("started", file=sys.stderr, flush=True)

@@ -198,13 +198,13 @@ def test_unknown_view_and_view_without_its_input_are_refused(case):
 
 
 def states(*given):
-    """Return a session that answers each question for its state with the next of these; the last one repeats."""
+    """Return a session that answers each query of its state with the next given state, and repeats the last one."""
     left = list(given)
     return SimpleNamespace(ask=lambda _question: left.pop(0) if len(left) > 1 else left[0])
 
 
 def changed(state, **fields):
-    """Return a state whose scene has other fields."""
+    """Return a copy of a state with changed fields of its scene."""
     return replace(state, scene=replace(state.scene, **fields))
 
 

@@ -284,7 +284,7 @@ def test_volume_slices_in_a_notebook_show_patient_right_and_anterior_on_the_left
 
 
 def _all_bright_through_the_middle(found: Volume) -> np.ndarray:
-    """Return values with a bright block that extends beyond the middle, so that all three slices cut it."""
+    """Return values with a bright block round the middle of the volume, so that all three slices cut the block."""
     values = np.full(found.shape_zyx, -1000, dtype=np.int16)
     nz, ny, nx = values.shape
     values[nz // 2 - 1 :, : ny // 2 + 1, : nx // 2 + 1] = 400

@@ -33,7 +33,7 @@ def test_signal_of_soft_tissue_air_lung_and_fat_follows_their_protons(clean):
     ct = chest(clean, seed=2, generations=3)
     shape = np.minimum(ct.volume.shape_zyx, clean.volume.shape_zyx)
     assert np.abs(np.array(ct.volume.shape_zyx) - clean.volume.shape_zyx).max() <= 1
-    # The same places in both volumes: the grids differ by a part of a voxel only.
+    # Equal indices are at nearly equal positions in both volumes, because their grids differ by less than a voxel.
     assert np.allclose(ct.volume.lps_from_ijk[:3, 3], clean.volume.lps_from_ijk[:3, 3], atol=3.0)
     hu = ct.volume.hu_zyx[: shape[0], : shape[1], : shape[2]]
     value = clean.volume.hu_zyx[: shape[0], : shape[1], : shape[2]]
@@ -83,7 +83,7 @@ def test_air_has_the_noise_of_a_magnitude_picture(picture):
     assert corner.std() == pytest.approx(0.655 * sigma, rel=0.08)
 
 
-def test_truth_is_that_of_the_ct_and_fits_the_picture(picture):
+def test_ground_truth_is_that_of_the_ct_and_agrees_with_the_mr_picture(picture):
     ct = generate_phantom(seed=2, spacing_mm=4.0, generations=5, noise_hu=0.0)
     assert picture.truth["branches"] == ct.truth["branches"]
     trachea = np.array(picture.truth["branches"][0]["points"])
@@ -120,7 +120,7 @@ def test_airways_are_found_and_named_in_the_picture(picture):
     assert {"Trachea", "RMB", "LMB", "RUL", "LUL", "LLL", "RB6", "LB6"} <= names
 
 
-def test_bad_options_and_cancel_are_reported():
+def test_invalid_options_and_a_cancelled_generation_raise_an_error():
     with pytest.raises(UsageError, match="spacing_mm"):
         generate_mr_phantom(spacing_mm=0.1)
     with pytest.raises(UsageError, match="snr"):

@@ -46,7 +46,7 @@ def test_truth_has_the_segments_of_the_variant_and_no_others(variant):
         assert segments_of(made, variant) == CHANGED[variant] | LEFT, seed
 
 
-def test_truth_of_each_variant_has_its_origin():
+def test_ground_truth_of_each_variant_has_the_bronchi_at_their_origins():
     for seed in SEEDS:
         tracheal = true_tree(seed, "tracheal-bronchus")
         above = tracheal.branch(tracheal.named("RB1").parent or 0)

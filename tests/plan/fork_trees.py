@@ -111,7 +111,7 @@ def moved(tree: AirwayTree, matrix: Points, shift: Points) -> AirwayTree:
 def route_in(
     tree: AirwayTree, branch_id: int, *, share: float = 0.6, carina: bool = True, ridge_mm: float | None = None
 ) -> PlannedRoute:
-    """Return a route that ends at the share ``share`` of the length of a branch.
+    """Return a route that ends in a branch, at the fraction ``share`` of the branch's length.
 
     With ``carina`` the main carina of the route is at the start of its second branch; its ridge is ``ridge_mm`` beyond.
     """

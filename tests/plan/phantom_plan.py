@@ -1,4 +1,4 @@
-"""Plan in the phantom and sheet of its report; all test files that use the plan run in one process."""
+"""A plan in the phantom and the content of its report; all test files that use this plan run in one process."""
 
 from __future__ import annotations
 

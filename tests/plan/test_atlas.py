@@ -91,7 +91,8 @@ def test_reach_of_lung_regions_agrees_with_estimated_plans_for_targets_in_them(c
             best = max((REACHES - RANK[route.outlook] for route in plan.routes), default=NOT)
             counts[value, best] += 1
     agreed = sum(num for (atlas, plan), num in counts.items() if atlas == plan)
-    # Both test directions and places at different distances, so voxels at a border may differ by one class.
+    # Atlas and plans test directions and tip positions at different intervals, so voxels at a border may differ by one
+    # class.
     assert agreed >= 0.85 * counts.total(), counts
     assert counts[REACHES, NOT] == counts[NOT, REACHES] == 0, counts
 

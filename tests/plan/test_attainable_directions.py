@@ -45,7 +45,7 @@ def scope(tip_mm: float = 3.0) -> ScopePreset:
 
 
 def towards(radius_mm: float, angle_deg: float, target_mm: float = 0.5, tip_mm: float = 3.0) -> AttainableTip | None:
-    """Return the attainable tip for a target 14 mm from the place, at an angle to the axis of the tube."""
+    """Return the attainable tip at `PLACE` for a target 14 mm away, in a direction at an angle to the tube's axis."""
     tree, field = tube(radius_mm)
     rad = math.radians(angle_deg)
     aim = PLACE.point_lps + 14.0 * (math.cos(rad) * AXIS + math.sin(rad) * np.array([1.0, 0.0, 0.0]))

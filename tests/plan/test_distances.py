@@ -188,7 +188,7 @@ def test_distances_of_turns_from_the_carina_ridge_increase_and_add_up_in_random_
 def row(
     number: int, parent: int | None, children: list[int], ends: list[list[float]], name: str | None
 ) -> dict[str, Any]:
-    """Return a straight branch from the first to the last of its ends, for `made_tree`."""
+    """Return a straight branch of `made_tree` from the first to the last point of ``ends``."""
     points = np.linspace(*np.array(ends, float), 9)
     return {"id": number, "parent": parent, "children": children, "name": name, "points": points, "radius": np.ones(9)}
 
@@ -233,7 +233,7 @@ def test_distances_along_a_smoothed_route_are_measured_along_the_centrelines() -
     assert (np.diff(along) > 0.0).all()
     forks = np.interp(whole.forks_mm, whole.cumulative_mm, along)
     np.testing.assert_allclose(forks, [60.0, 80.0], atol=1e-6)
-    # A route that ends within a branch, and one that begins within the trachea.
+    # The cases are a route that ends within a branch, and one that begins within the trachea.
     middle = tree.branch(3).points[4]
     ends = centreline_mm(tree, route_to_point(tree, middle))[-1]
     assert ends == pytest.approx(80.0 + np.linalg.norm(middle - tree.branch(3).points[0]), abs=1.0)
@@ -253,7 +253,8 @@ def test_distance_back_from_a_wrong_branch_is_measured_along_the_centrelines() -
         left = [branch for branch in tree.lineage(other.id) if branch.id not in lineage]
         expected = sum(branch.length_mm for branch in left)
         assert back_to_route_mm(tree, route, other.id, other.points[-1]) == pytest.approx(expected)
-        # On the route, and in the opening of the wrong branch, which is inside the lumen of its parent.
+        # The function returns None on the route, and in the opening of the wrong branch, which is inside the lumen of
+        # its parent.
         assert back_to_route_mm(tree, route, goal.id, goal.points[-1]) is None
         first = left[0]
         along = first.points[1] - first.points[0]

@@ -68,7 +68,7 @@ def test_longer_ridge_is_part_of_the_wall_up_to_the_hidden_length() -> None:
     assert (before[far > 0.4] > 0.0).all()
     assert (after[far < 1.15] < 0.0).all() and (after[far > 1.25] > 0.0).all()
     assert (after <= before + 1e-9).all()
-    # Beside the ridge, and on a route without ridges, nothing changes.
+    # The distance to the wall is unchanged beside the ridge, and on a route without ridges.
     outer = branches[1].points[12:] + np.array([1.0, 0.0, 0.0])
     assert (longer.distance_mm(outer) == wall.distance_mm(outer)).all()
     assert RouteRidges((), 1.2).lengthened(wall) is wall
@@ -94,7 +94,7 @@ def test_true_ridges_are_at_most_as_long_as_the_stated_hidden_length_in_nine_of_
 
 
 def _end_mm(far: np.ndarray, depth: np.ndarray) -> float:
-    """Return the end towards the parent of the wall nearest to the edge of a ridge; NaN without one."""
+    """Return the value of ``far`` at which the wall nearest to a ridge's edge ends towards the parent; NaN if none."""
     inside = np.flatnonzero(depth <= 0.0)
     if not len(inside):
         return math.nan

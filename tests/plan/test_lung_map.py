@@ -67,7 +67,8 @@ def test_vessels_along_the_lung_edge_are_omitted_and_their_side_branches_become_
 
 
 def test_visible_share_of_fissures_is_stated_for_each_lung_along_the_lobe_borders():
-    # At a spacing of 2 mm: the right lung at low x has a flat border between two lobes, the left lung another border.
+    # The labels have a spacing of 2 mm. The right lung, at low x, has a flat border between two lobes; the left lung
+    # has another border.
     label = np.zeros((20, 20, 40), dtype=np.uint8)
     border = np.full(label.shape, np.inf, dtype=np.float32)
     for part, upper, lower in ((slice(0, 18), "RUL", "RLL"), (slice(22, 40), "LUL", "LLL")):

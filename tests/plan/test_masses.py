@@ -43,7 +43,7 @@ def chest_part(
     own = lesion * lung
     hu = hu * (1.0 - own) + 40.0 * own
     if vessel_hu:
-        # The vessel runs along z behind the lesion, from face to face.
+        # The vessel runs along z behind the lesion, through the complete volume.
         a, b, _, radius = balls[0]
         vessel = share(np.hypot(x - a, y - b - radius - 3.0) - 5.0) * np.ones_like(hu)
         hu = hu * (1.0 - vessel) + vessel_hu * vessel

@@ -1,4 +1,4 @@
-"""Test of the places at which the benchmark of movement measures (`carina_bench.plan_movement`)."""
+"""Test of the random target positions of the benchmark `carina_bench.plan_movement`, which measures target movement."""
 
 from __future__ import annotations
 

@@ -240,7 +240,7 @@ def test_figures_of_a_route_with_a_simulated_drive_equal_those_of_its_verdict() 
     assert verdict.outcome == first.outlook == "reaches" and verdict.route_key == first.key
     pointing = next(check for check in verdict.checks if check.name == "pointing")
     assert pointing.share == first.leg.hit_share > 0.5 and verdict.hold == first.hold
-    # The same drive is found again without the stored one.
+    # A new simulation without the stored drive finds the same drive.
     again = dataclasses.replace(first)
     assert again is not first
     repeated = judge_scope(cached_airways(**CHEST).tree, found, wall(), found.scope, route=again)

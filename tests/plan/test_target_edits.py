@@ -86,7 +86,7 @@ def test_stroke_of_the_brush_equals_its_balls_one_after_another():
         whole = brushed(nodule, volume, stroke[4:-4], 3.0, add=add)
         assert whole.volume_mm3 == pytest.approx(one_by_one.volume_mm3, rel=1e-6)
         assert whole.notes == one_by_one.notes
-    # A removal may begin and end outside the target; an added part must be connected to it.
+    # An erasing stroke may begin and end outside the target; an added part must be connected to the target.
     far = np.array(nodule.centre_lps) + np.array([0.0, 18.0, 0.0])
     assert brushed(nodule, volume, [*stroke, far], 3.0, add=False).volume_mm3 < nodule.volume_mm3
     with pytest.raises(UsageError, match="a target is one piece"):

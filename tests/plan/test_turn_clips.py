@@ -79,7 +79,8 @@ def test_frames_of_a_turn_video_are_evenly_spaced_along_the_flight() -> None:
         assert clip is not None
         steps = np.linalg.norm(np.diff([camera.position_lps for camera in clip.cameras], axis=0), axis=1)
         assert steps.min() > 0.0
-        # The flight accelerates at its start and slows down at its end.
+        # The largest step between frames is not at the start or the end, because the flight accelerates and slows down
+        # there.
         assert steps.max() == steps[1:-1].max()
 
 

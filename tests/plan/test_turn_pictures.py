@@ -129,7 +129,7 @@ def test_dots_of_the_route_are_inside_the_outline_and_lead_away_from_the_camera(
         pixels = [made.picture.pixel_of(dot) for dot in dots]
         inside = [at is not None and bool(made.outline[int(at[1]), int(at[0])]) for at in pixels]
         assert all(inside), made.turn
-        # No wall is in front of a dot.
+        # No wall is between the camera and a dot of the route.
         walls_mm = np.linalg.norm(walls(made) - made.camera.position_lps, axis=-1)
         for depth, at in zip(depths[1:], pixels[1:], strict=True):
             assert at is not None and not depth > walls_mm[int(at[1]), int(at[0])] + 2.0, made.turn

@@ -109,7 +109,7 @@ def check(found: Verdict, name: str):
 
 
 def judged(*args: Any, **options: Any) -> Verdict:
-    """Return a verdict for which one drive is tried; for tests that do not depend on the drive."""
+    """Return the verdict on a scope for which one drive is tried, for tests that do not depend on the drive."""
     return judge_scope(*args, **options, effort=1.0)
 
 
@@ -128,7 +128,7 @@ def test_required_bend_angle_of_a_circular_tube_is_exact_to_two_degrees(bend_deg
     required_deg = min(bend_deg, math.degrees(section_mm / bend_radius_mm))
     for spare, answer in ((2.0, "yes"), (-2.0, "no")):
         bends = scope(flexion_deg=(required_deg + spare, 10.0), bending_mm=(40.0, 40.0), rigid_tip_mm=10.0)
-        # This scope is so thin that its rigid tip passes the bend.
+        # This scope is so thin that its rigid tip fits through the bend.
         bends = dataclasses.replace(bends, tip_mm=1.5)
         found = check(judged(tree, plan_in(points), field, bends, errors=False), "bend")
         assert found.answer == answer, found.words

@@ -29,7 +29,7 @@ NEAR = 2e-5
 
 
 def numbers_of(volume: Volume) -> NDArray[np.int64]:
-    """Return the numbers that are compared: the values, or bins of 16 if there are more than 256 values."""
+    """Return the numbers whose equality defines regions: voxel values, or bins of 16 if there are more than 256."""
     values = volume.hu_zyx.astype(np.int64)
     return values if len(np.unique(values)) <= 256 else values // BIN
 
@@ -71,7 +71,7 @@ def test_map_of_the_phantom_equals_definition_and_iteration_of_the_paper(airway,
 
 
 def _map_of_part(volume: Volume) -> NDArray[np.uint8]:
-    """Return the map of a part of the phantom, by the comparison that the whole phantom has."""
+    """Return the map of a part of the phantom, by values or by bins as the map of the whole phantom."""
     equal_by = "values" if len(np.unique(volume.hu_zyx)) <= 256 else "bins"
     part = Volume(np.ascontiguousarray(volume.hu_zyx[8:32, 10:40, 10:40]), volume.lps_from_ijk)
     return carina.isoregion_map(part, equal_by=equal_by)

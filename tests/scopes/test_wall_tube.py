@@ -17,7 +17,7 @@ RADIUS_MM = 1.4 + 0.3 * np.cos(AXIS[:, 2])
 
 
 def tube_mm(points: np.ndarray) -> np.ndarray:
-    """Return the distances to the wall of the tube, by every part of its axis."""
+    """Return the distances of points to the wall of the tube, computed with every part of the tube's axis."""
     start, along = AXIS[:-1], np.diff(AXIS, axis=0)
     off = points[:, None] - start
     share = np.clip((off * along).sum(axis=-1) / (along * along).sum(axis=-1), 0.0, 1.0)
@@ -40,7 +40,7 @@ def test_distance_in_a_lumen_with_a_tube_is_the_larger_one_of_both() -> None:
     tube = tube_mm(points)
     both = wall().with_tube(AXIS, RADIUS_MM).distance_mm(points)
     expected = np.maximum(wall().distance_mm(points), tube)
-    # More than 1 mm outside the tube its distance may be left out.
+    # The wall field may leave out the distance to the tube at points more than 1 mm outside the tube.
     near = tube > -1.0
     assert near.sum() > 2000
     assert both[near] == pytest.approx(expected[near], abs=1e-9)

@@ -206,7 +206,7 @@ def test_segments_below_the_end_of_the_scan_are_reported_as_outside(chest):
     place[:3, 3] += cut * place[:3, 2]
     airways = carina.find_airways(Volume(np.ascontiguousarray(made.volume.hu_zyx[cut:]), place))
     kinds = {absence.name: absence.kind for absence in airways.absent}
-    # Of some segments only the first millimetres are in the scan, too little for a name.
+    # Only the first millimetres of some segments are in the scan, which is too little for a name.
     assert {"outside"} <= set(kinds.values()) <= {"outside", "unnamed"}
     assert not any(DISEASE.search(absence.words) for absence in airways.absent)
 

@@ -22,7 +22,7 @@ def uncut():
 @pytest.mark.parametrize(
     ("end_lps", "cut_mm"),
     [
-        # Beside both tips a parallel airway is nearer to the click than the tip.
+        # At both tips, a parallel airway is nearer to the click than the tip itself.
         ((63.1, -124.7, 256.1), 14.0),
         ((64.7, -133.1, 251.4), 6.3),
     ],

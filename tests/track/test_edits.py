@@ -85,7 +85,7 @@ def test_cut_removes_the_selected_branch_with_its_lumen_and_no_other(case):
     others = np.concatenate([b.points for b in airways.tree.branches])
     assert airways.tracker.inside(others).all()
     assert airways.lumen_zyx.sum() < case.airways.lumen_zyx.sum()
-    # The removed branch attracts no path any more.
+    # No path leads to the removed branch any more.
     with pytest.raises(NoResultError, match="from the segmented lumen"):
         airways.tracker.path_to(removed.tip_lps, snap_mm=1.0)
 

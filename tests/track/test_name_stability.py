@@ -62,7 +62,7 @@ def _segment(name: str | None) -> str | None:
     return None if name is None else segment_of(name)
 
 
-# Missed aim: in phantom 2, a cut of tip 11 removes the name of the right basal trunk.
+# Known failure: in phantom 2, a cut of tip 11 removes the name of the right basal trunk.
 MISSED = pytest.mark.xfail(reason="a lost tip beside the right basal trunk removes the name of the trunk", strict=True)
 
 
@@ -155,7 +155,7 @@ def test_one_more_tip_does_not_make_a_human_tree_implausible(monkeypatch):
     assert set(branch_side_and_lobe(edited).values()) > {None}
 
 
-def test_poor_reading_with_another_laterality_needs_the_usual_fit(monkeypatch):
+def test_tree_read_with_the_other_laterality_than_before_needs_the_usual_fit(monkeypatch):
     tree = uncut(1)
     monkeypatch.setattr(naming, "POOR_FIT", _read(tree).fit + 0.1)
     codes = [{note.code for note in name_human_tree(tree, is_mirrored=was).notes} for was in (False, True)]
@@ -180,7 +180,7 @@ def test_removal_of_many_branches_can_make_a_tree_unlike_a_human_one(monkeypatch
     assert MISFIT in {note.code for note in edited.notes}
 
 
-def test_tip_can_make_a_tree_human(monkeypatch):
+def test_extended_tip_can_make_a_tree_fit_a_human_one(monkeypatch):
     tree = uncut(1)
     fit = {tip: (cut, _read(cut).fit, _read(tree).fit) for tip, cut in cut_trees(1)}
     cut, before, after = min(fit.values(), key=lambda of_tip: of_tip[1] - of_tip[2])

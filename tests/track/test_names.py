@@ -504,6 +504,7 @@ def test_sums_over_all_possible_namings_of_a_tree_equal_plain_recursion():
     root = solver.posts[0]
     assert root.sum() == pytest.approx(1.0)
     for posts in solver.posts:
-        # A bronchus has at most one reading, and none if it leads to no segment or is inside a segment.
+        # In each naming of the tree a bronchus has at most one name, and none if it leads to no segment or is inside a
+        # segment.
         assert posts.min() >= 0.0
         assert posts.sum() <= 1.0 + 1e-9

@@ -59,7 +59,7 @@ def test_tree_of_one_path_is_one_branch_and_equal_paths_add_none(airways):
     assert tree_of_paths([path[:1]], airways)[0] == ()
 
 
-def test_a_longer_path_continues_a_shorter_one(airways):
+def test_longer_path_is_the_continuation_of_a_shorter_path_along_it(airways):
     path = airways.tracker.path_to(airways.tree.tips()[0].points[-1]).points_lps
     branches, forks = tree_of_paths([path[:30], path], airways)
     assert len(branches) == 2
@@ -69,7 +69,7 @@ def test_a_longer_path_continues_a_shorter_one(airways):
     assert len(forks) == 0
 
 
-def test_paths_outside_the_lumen_part_where_they_are_apart(airways):
+def test_paths_outside_the_lumen_fork_where_they_diverge(airways):
     trunk = airways.tree.branches[0].points
     start, away = trunk[len(trunk) // 2], np.array([40.0, 0.0, 0.0])
     one = evenly_spaced(np.stack([start, start + away, start + 2 * away]), 1.0)

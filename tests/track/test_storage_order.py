@@ -14,7 +14,7 @@ from carina.track import CutBranch, edit_airways
 
 CHEST = {"seed": 3, "spacing_mm": (1.3, 1.2, 1.5), "noise_hu": 25.0, "generations": 6}
 ORDERS = [(axes, flips) for axes in permutations(range(3)) for flips in product((False, True), repeat=3)]
-# Storage orders that contain each permutation of the axes, and all but one of the flips, at least once.
+# Storage orders that together contain each permutation of the axes, and all but one of the reversals of axes.
 SOME = [ORDERS[n] for n in (7, 10, 20, 27, 37, 46)]
 
 

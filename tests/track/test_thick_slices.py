@@ -67,7 +67,8 @@ def test_calibrated_detection_share_increases_with_diameter_and_decreases_with_s
         assert 0.0 <= share.least <= (share.typical or share.least) <= share.most <= 1.0
         assert (share.typical is None) == (slice_mm > SLICES_MM[-1])
         if share.typical is not None and later.typical is not None:
-            # The means must decrease, but not the extremes: two thicknesses have an outlier each.
+            # The mean shares must decrease with the thickness; the extreme shares need not, because two thicknesses
+            # have an outlier each.
             assert later.typical <= share.typical + ROUNDING
 
 

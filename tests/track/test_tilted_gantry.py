@@ -15,7 +15,7 @@ SLICE_MM = 1.8
 
 
 def trees(phantom, tilts_deg):
-    """Return TD and BD of the straight CT and of the CTs with these tilts, on the same true airways."""
+    """Return the shares of tree length (TD) and branches (BD) found in the straight CT and in CTs with these tilts."""
     scanners = [Scanner(tilt, pixel_mm=PIXEL_MM, slice_mm=SLICE_MM, noise_hu=0.0) for tilt in (0.0, *tilts_deg)]
     branches = covered_branches(phantom, scanners)
     assert len(branches) > 20

@@ -102,7 +102,7 @@ def _spaced(branch: Any, step_mm: float) -> tuple[np.ndarray, np.ndarray]:
 
 
 class Judge:
-    """Judgement of single frames."""
+    """Observations in single frames: the openings in sight, and the position of the tip in the airways."""
 
     def __init__(self, tree: AirwayTree, wall: WallField, scope: str, fov_deg: float) -> None:
         self.tree, self.wall = tree, wall
@@ -279,7 +279,8 @@ def independent_score(text: str, tree: AirwayTree, wall: WallField) -> dict[str,
         for number in seen_for:
             seen_for[number] = seen_for[number] + 1 if number in in_sight else 0
         behind = judge.opening_passed(pose[:3, 3], branch)
-        # The absence counts from the frame at which the last clear stay behind the opening had lasted for 0.5 s.
+        # The time outside begins at the frame at which the last uninterrupted stay behind the opening had lasted for
+        # 0.5 s.
         for number, (now_away, longest) in away_for.items():
             away = now_away + 1 if behind != number else 0
             away_for[number] = (away, max(longest, away))

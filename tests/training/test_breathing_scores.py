@@ -75,7 +75,7 @@ def test_openings_in_sight_of_a_moved_patient_are_those_of_the_explicitly_moved_
     explicit = []
     for one in openings:
         normal = np.linalg.solve(matrix.T, one.dir_lps)
-        # The area of the disk; its moved outline is an ellipse.
+        # The radius gives the area of the moved opening, whose outline is an ellipse.
         radius_mm = one.radius_mm * np.sqrt(np.linalg.det(matrix) * np.linalg.norm(normal))
         middle = moved.points(one.middle_lps)[0]
         explicit.append(BranchOpening(one.branch_id, one.name, middle, normal / np.linalg.norm(normal), radius_mm))

@@ -36,7 +36,7 @@ def expert(chest):
     return fly(chest)
 
 
-def test_flight_equals_itself(chest, expert):
+def test_flight_compared_with_itself_has_no_deviation(chest, expert):
     found = compare_flights(chest.tree, expert, expert)
     assert (found.deviation_mm, found.worst_mm, found.longest_stay) == (0.0, 0.0, None)
     assert found.compared_share == 1.0
@@ -50,7 +50,7 @@ def test_flight_at_another_speed_deviates_little_because_places_are_compared(che
     assert found.compared_share > 0.95
 
 
-def test_longest_stay_is_the_branch_of_the_waiting_with_both_times(chest, expert):
+def test_longest_stay_names_the_branch_in_which_the_learner_waited_with_both_times(chest, expert):
     found = compare_flights(chest.tree, fly(chest, wait_s=6.0), expert)
     assert found.longest_stay.name == "RMB"
     assert found.longest_stay.own_s - found.longest_stay.expert_s == pytest.approx(6.0, abs=0.3)

@@ -49,7 +49,7 @@ def test_shares_of_voxels_sum_to_the_volume_of_the_nodule(chest, made, diameter_
     shape = NoduleShape.of_volume(diameter_mm, spiculation, 5)
     _, share = voxel_shares(chest.volume, chest.volume.centre_lps, shape, made.texture)
     voxel_mm3 = abs(np.linalg.det(chest.volume.lps_from_ijk[:3, :3]))
-    # The limit of the issue is 5 %; cells of 0.3 mm cause 1.5 % in a nodule of 4 mm.
+    # The requirement is 5 %; cells of 0.3 mm cause an error of 1.5 % in a nodule of 4 mm.
     assert share.sum() * voxel_mm3 == pytest.approx(np.pi / 6.0 * diameter_mm**3, rel=0.03)
     assert share.min() > -0.2
     assert share.max() < 1.2
@@ -272,7 +272,7 @@ def test_vessel_is_replaced_only_on_request(chest):
     pytest.fail("no thin vessel in the lung")
 
 
-def test_volume_without_hu_and_wrong_core_are_refused(chest, place):
+def test_inserted_nodule_is_refused_in_a_volume_without_hu_and_with_an_invalid_core_diameter(chest, place):
     volume = Volume(chest.volume.hu_zyx, chest.volume.lps_from_ijk, is_hu=False, not_hu_reason="test")
     with pytest.raises(UsageError) as refused:
         insert_nodule(volume, chest.airways, place)
@@ -303,7 +303,7 @@ def test_saved_ct_opens_with_the_note_and_the_title(tmp_path, made, suffix):
     assert [note.code for note in badges_of(opened) if note.code == INSERTED] == [INSERTED]
 
 
-def test_cut_off_mark_still_gives_the_number_of_nodules(chest):
+def test_truncated_mark_of_inserted_nodules_still_gives_their_number(chest):
     texts = [f"solid nodule, {n}.0 mm, at -41.0 12.0 -180.{n}" for n in range(5, 9)]
     mark = file_mark(with_inserted(replace(chest.volume.source), texts))
     found = marked_structures(mark.encode()[:79] + b"\0")
@@ -313,7 +313,7 @@ def test_cut_off_mark_still_gives_the_number_of_nodules(chest):
     assert marked_structures(b"an ordinary header") == ()
 
 
-def test_mark_with_more_nodules_than_are_read_is_not_lost(chest):
+def test_mark_of_more_nodules_than_the_limit_is_read_up_to_the_limit(chest):
     texts = ["solid nodule, 8.0 mm, at -41.0 12.0 -180.0"] * 1500
     mark = file_mark(with_inserted(chest.volume.source, texts))
     assert len(marked_structures(mark.encode())) == 999
@@ -362,7 +362,7 @@ def test_plan_report_and_sheet_state_that_the_nodule_was_inserted(tmp_path, ches
     assert "inserted: a nodule was inserted" in json.dumps(stored).lower()
 
 
-def test_command_writes_the_marked_ct_and_the_truth(tmp_path, chest, capsys):
+def test_insert_nodule_command_writes_the_marked_ct_and_the_ground_truth(tmp_path, chest, capsys):
     scan, output, truth = (tmp_path / name for name in ("ct.nii", "training.nii.gz", "truth.json"))
     write_grid(scan, chest.volume.hu_zyx, chest.volume.lps_from_ijk, what="the CT")
     code = report(

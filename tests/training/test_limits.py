@@ -29,7 +29,7 @@ def field_of(distance, *, long_mm=60):
     return WallField.from_distances(np.clip(distance(x, y, z), -2.5, 4.5).astype(np.float32), matrix)
 
 
-# A wide lumen whose walls are far from all lines of sight of these tests.
+# Wall field of a wide lumen whose walls are far from all lines of sight of these tests.
 WIDE = field_of(lambda x, _y, _z: 29.0 - np.abs(x))
 
 
@@ -138,7 +138,7 @@ def test_segment_is_seen_after_half_a_second_in_sight(num_frames, expected):
     assert places_seen(sights_of((10, num_frames, 0.9)), [[0]]) == [expected]
 
 
-def test_half_a_second_with_a_break_is_not_seen():
+def test_half_a_second_in_sight_with_an_interruption_does_not_make_a_segment_seen():
     sights = sights_of((10, 9, 0.9))
     sights.in_sight[14] = False
     assert places_seen(sights, [[0]]) == [None]
@@ -155,7 +155,7 @@ def test_segment_is_visited_after_one_second_in_the_middle(num_frames, expected)
 
 
 @pytest.mark.parametrize(("off", "expected"), [(0.5, [Visit(20, 0)]), (0.51, [])])
-def test_middle_of_the_picture_is_half_its_radius(off, expected):
+def test_segment_is_visited_only_within_half_the_radius_of_the_picture(off, expected):
     assert visits_of(sights_of((10, 20, off)), [[0]]) == expected
 
 
@@ -180,7 +180,7 @@ def test_segment_is_seen_and_visited_after_half_a_second_inside(num_frames, expe
     assert visits_of(sights_of((0, 0, 0.9)), [[0]], entries) == entries
 
 
-def test_red_out_inside_a_segment_does_not_count():
+def test_red_out_interrupts_the_half_second_inside_that_counts_as_an_entry():
     clear = np.ones(60, dtype=bool)
     clear[14] = False
     assert entries_of(runs_of((-1, 10), (0, 9), (-1, 41)), clear, [[0]]) == []
@@ -226,12 +226,12 @@ def visits(*places):
         ((), 0, 0),
     ],
 )
-def test_progress_by_both_rules_of_a_revisit(flown, breaks, ignored):
+def test_progress_with_a_revisit_is_counted_by_both_rules_breaks_and_ignored(flown, breaks, ignored):
     assert len(progress_steps(visits(*flown), "breaks")) == breaks
     assert len(progress_steps(visits(*flown), "ignored")) == ignored
 
 
-def test_revisits_are_counted_each_time():
+def test_each_repeated_visit_of_a_place_is_a_revisit():
     assert [visit.place for visit in revisits_of(visits(0, 1, 0, 2, 0, 1))] == [0, 0, 1]
 
 
@@ -314,7 +314,7 @@ def test_hop_through_a_wall_between_two_recorded_positions_is_reported(thickness
     assert all(one.time_s == 0.1 for one in found)
 
 
-def test_positions_between_two_frames_are_checked():
+def test_recorded_position_between_two_frames_outside_the_airways_is_reported():
     frames = frames_of([camera((-3.0, 0.0, 0.0)), camera(), camera((-3.0, 0.0, 0.0))])
     # The frames show the first and the last pose; the second one was recorded between them.
     shown = replace(frames, lps_from_tip=frames.lps_from_tip[[0, 2]], pose_number=np.array([0, 2]))

@@ -133,7 +133,7 @@ def test_recording_that_starts_inside_a_segment_is_reported(chest, clock):
     assert codes(scored(chest, inside, task=replace(find_task("inspect-all"), clock=clock))) == ["start"]
 
 
-def test_pinned_camera_sees_no_segment(chest):
+def test_flight_that_stays_at_one_place_sees_no_segment(chest):
     script = Script(chest.tree)
     script.start(float(chest.tree.root.length_mm) - 15.0)
     script.wait(60.0)
@@ -143,7 +143,7 @@ def test_pinned_camera_sees_no_segment(chest):
     assert score.mean_intersegmental_time_s is None
 
 
-def test_wiggling_at_a_carina_gives_each_progression_once(chest):
+def test_alternating_views_of_two_segments_add_each_progression_once(chest):
     script = Script(chest.tree)
     script.start()
     script.inspect("RB1")
@@ -194,7 +194,7 @@ def flown_into(chest, *names):
     return script.poses
 
 
-def test_loops_add_revisits_only(chest):
+def test_repeated_round_of_three_segments_adds_only_revisits(chest):
     once = scored(chest, flown_into(chest, "RB1", "RB2", "RB3"))
     thrice = scored(chest, flown_into(chest, *("RB1", "RB2", "RB3") * 3))
     for name in ("diagnostic_completeness", "structured_progress"):
@@ -275,14 +275,14 @@ def test_turns_are_followed_or_reported_as_wrong(chest):
     assert [one.name for one in result.events] == ["LMB"]
 
 
-def test_turns_that_are_not_on_one_way_are_refused(chest):
+def test_task_with_turns_that_are_not_on_one_route_is_refused(chest):
     task = replace(find_task("turns-to-rb10"), branches=("LMB", "RB10"))
     with pytest.raises(NoResultError, match="expected branches in their order on the way Trachea, RMB, BI, RLL"):
         task.check_case(chest.tree)
 
 
 @pytest.mark.parametrize(("held_s", "completed"), [(4.8, False), (5.4, True)])
-def test_structure_is_held_for_the_time_of_the_task(chest, held_s, completed):
+def test_hold_task_is_completed_only_after_its_hold_time(chest, held_s, completed):
     branch = branches_named(chest.tree, "RUL")[0]
     script = Script(chest.tree)
     script.start(float(chest.tree.root.length_mm) - 20.0)
@@ -293,7 +293,7 @@ def test_structure_is_held_for_the_time_of_the_task(chest, held_s, completed):
     assert score.result.completed is completed
 
 
-def test_landmarks_come_before_the_segments(chest, best):
+def test_landmarks_of_an_inspection_are_completed_before_its_segments(chest, best):
     script = Script(chest.tree)
     script.start()
     script.go(0, float(chest.tree.root.length_mm) - 15.0)
@@ -446,13 +446,13 @@ def attempts(score, *times_s):
         ((100, 130, 100, 130, 100, 130), False),
     ],
 )
-def test_mastery_needs_two_in_a_row_and_a_verdict_six_attempts(best_score, times_s, verdict):
+def test_mastery_needs_two_passed_attempts_in_a_row_and_a_verdict_needs_six_attempts(best_score, times_s, verdict):
     judged = judge_mastery(attempts(best_score, *times_s))
     assert judged.verdict is verdict
     assert ("no verdict" in judged.words) is (verdict is None)
 
 
-def test_attempt_that_does_not_count_breaks_the_row(best_score):
+def test_attempt_that_does_not_count_interrupts_the_row_of_passed_attempts(best_score):
     flown_attempts = attempts(best_score, 130, 130, 130, 130, 100, 100, 100)
     flown_attempts[5] = replace(flown_attempts[5], doubts=(AttemptDoubt("incomplete", "cut off"),))
     judged = judge_mastery(flown_attempts)
@@ -489,7 +489,7 @@ def test_recordings_of_one_pose_do_not_count(chest, best, best_score):
     assert judged.reasons[0] == ("no segment was seen", "the tip did not move")
 
 
-def test_sources_state_only_what_they_contain(best_score):
+def test_rule_that_carina_adds_to_the_published_definition_of_mastery_is_stated_as_added(best_score):
     document = judge_mastery([best_score]).to_json()
     assert "in a row" not in document["definition"]
     assert document["added_rule"] == "in a row: Carina's reading; the source states no order"
@@ -500,7 +500,7 @@ def test_verdict_states_that_the_order_is_that_of_the_user(best_score):
     assert "over the recordings that you gave, in your order" in judge_mastery(attempts(best_score, *(100,) * 6)).words
 
 
-def test_17_progressions_do_not_give_mastery(best_score):
+def test_attempts_with_17_of_18_progressions_do_not_give_mastery(best_score):
     lower = [replace(one, structured_progress=17) for one in attempts(best_score, *(100,) * 6)]
     assert judge_mastery(lower).verdict is False
 
@@ -566,7 +566,7 @@ def test_xapi_identifiers_are_percent_encoded(best_score):
     assert xapi_statements(own)[0]["object"]["id"] == "urn:carina:training:task:own%20task%20%2F%2050%20%25"
 
 
-def test_log_is_written_to_a_new_folder(best_score, tmp_path):
+def test_flight_log_is_written_to_a_new_folder(best_score, tmp_path):
     paths = write_flight_log(tmp_path / "a" / "log", best_score)
     assert [path.name for path in paths] == ["events.csv", "poses.csv", "scores.csv", "xapi.json"]
     assert json.loads(paths[3].read_text()) == xapi_statements(best_score)

@@ -124,7 +124,7 @@ def test_case_without_the_structure_of_a_task_is_refused(chest):
         ({"kind": "reach", "place_lps": (0.0, 0.0, 0.0)}, "aim_lps: expected three numbers"),
     ],
 )
-def test_contradicting_fields_are_refused(values, message):
+def test_task_with_contradicting_fields_is_refused(values, message):
     with pytest.raises(UsageError, match=message):
         Task("own", "Own task", **values)
 

@@ -17,8 +17,8 @@ use rayon::prelude::*;
 use crate::mesh::{CellRing, EDGES, MARGIN, Reach, cell_rings};
 use carina_leastcost::lumen::WallLevels;
 
-/// Number of cells along each side of a brick; larger bricks have more triangles off the plane, smaller ones are too
-/// many.
+/// Number of cells along each side of a brick. Larger bricks contain more triangles that the plane does not cut; with
+/// smaller bricks there are too many bricks.
 const BRICK: usize = 4;
 /// Number of cell corners along each side of a brick.
 const SIDE: usize = BRICK + 1;
@@ -68,7 +68,7 @@ struct Piece {
     end: PicturePoint,
 }
 
-/// Error for an outline with more pieces than `MAX_PIECES`.
+/// Error for an outline that consists of more than `MAX_PIECES` pieces.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct TooRagged;
 

@@ -225,7 +225,7 @@ impl LumenTracker {
         self.read(py, |t| t.settled().len())
     }
 
-    /// Cost of one integer quantum, in weight times mm.
+    /// Path cost that one unit (quantum) of the integer costs represents, in weight times mm.
     #[getter]
     fn quantum(&self, py: Python<'_>) -> f64 {
         self.read(py, |t| t.quantum().cost)
@@ -242,7 +242,8 @@ impl LumenTracker {
         py.detach(|| self.graph.nearest_node(&self.grid, ijk, reach_mm))
     }
 
-    /// Settle nodes until the given node is settled; return True if a path exists.
+    /// Settle nodes in the order of their cost until the given node is settled; return True if a path from the root
+    /// exists.
     #[pyo3(signature = (node, *, cancel=None, progress=None))]
     fn solve_to(
         &self,
@@ -260,7 +261,7 @@ impl LumenTracker {
         .map_err(|e| watch.error(e))
     }
 
-    /// Settle all nodes that a path can reach.
+    /// Settle all nodes that a path from the root can reach.
     #[pyo3(signature = (*, cancel=None, progress=None))]
     fn solve_all(
         &self,
@@ -316,10 +317,11 @@ impl LumenTracker {
         radius.into_pyarray(py)
     }
 
-    /// Return, for each wanted branch, the radii in mm of circles with the area of the lumen's cross-sections.
+    /// Return, for each branch whose item of `wanted` is True, the radii in mm of circles with the area of the lumen's
+    /// cross-sections along the branch; None for other branches.
     ///
-    /// The result is None for other branches. `lines_lps` has the (n, 3) LPS points of all branches, and `parents` the
-    /// index of each branch's parent in this list.
+    /// `lines_lps` has the (n, 3) LPS points of all branches, and `parents` the index of each branch's parent in this
+    /// list.
     fn section_radii<'py>(
         &self,
         py: Python<'py>,

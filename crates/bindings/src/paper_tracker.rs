@@ -140,7 +140,7 @@ impl GraphTracker {
         self.read(py, |inner| inner.tracker().settled().len())
     }
 
-    /// Cost of one integer quantum, in weight times mm.
+    /// Path cost that one unit (quantum) of the integer costs represents, in weight times mm.
     #[getter]
     fn quantum(&self, py: Python<'_>) -> f64 {
         self.read(py, |inner| inner.tracker().quantum().cost)
@@ -172,7 +172,8 @@ impl GraphTracker {
         Some((place.node, centre, place.to_node_mm))
     }
 
-    /// Settle nodes until the given node is settled; return True if a path exists.
+    /// Settle nodes in the order of their cost until the given node is settled; return True if a path from the root
+    /// exists.
     #[pyo3(signature = (node, *, cancel=None, progress=None))]
     fn solve_to(
         &self,

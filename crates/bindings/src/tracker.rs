@@ -104,7 +104,7 @@ impl FieldTracker {
         py.detach(|| either!(&*self.lock(), t => t.quanta().num_open))
     }
 
-    /// Cost of one integer quantum, in the unit of the path costs.
+    /// Path cost that one unit (quantum) of the integer costs represents, in the unit of the path costs.
     #[getter]
     fn quantum(&self, py: Python<'_>) -> f64 {
         py.detach(|| either!(&*self.lock(), t => t.quanta().unit))
@@ -116,7 +116,7 @@ impl FieldTracker {
         py.detach(|| either!(&*self.lock(), t => t.num_bytes()))
     }
 
-    /// Settle voxels until the given voxel is settled; return True if a path exists.
+    /// Settle voxels until the given voxel is settled; return True if a path from the root exists.
     #[pyo3(signature = (target_ijk, *, cancel=None, progress=None))]
     fn solve_to(
         &self,
@@ -133,7 +133,7 @@ impl FieldTracker {
         .map_err(|e| watch.error(e))
     }
 
-    /// Settle all voxels that a path can reach.
+    /// Settle all voxels that a path from the root can reach.
     #[pyo3(signature = (*, cancel=None, progress=None))]
     fn solve_all(
         &self,

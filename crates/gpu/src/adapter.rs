@@ -32,7 +32,8 @@ impl AdapterKind {
         }
     }
 
-    /// Return the longest time for which this process waits for an answer of a device; a later device counts as lost.
+    /// Return the longest time for which this process waits for a device to finish its work; a device that takes longer
+    /// counts as lost.
     ///
     /// Any useful device casts a picture faster. A software device runs on the processor's cores, which other programs
     /// may occupy for minutes, so its limit is longer.

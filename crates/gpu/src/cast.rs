@@ -208,8 +208,8 @@ impl Gpu {
                 });
             }
         }
-        // A radius map of transparent classes has no labels. The reads of a picture with leaps are therefore counted
-        // as those of its samples by brute force, plus the reads of the map.
+        // A radius map of transparent classes has no labels to read. The reads of a picture with leaps (skipped
+        // regions) are therefore counted as those of its samples by brute force, plus the reads of the map.
         Ok((walls, stats.with_loads(frame, Method::Brute)))
     }
 

@@ -1,4 +1,5 @@
-//! Airway view on a GPU by compute shaders: the computations of `carina-raycast`, equal within one grey level.
+//! Airway view on a GPU by compute shaders: the computations of `carina-raycast`, with pictures that are equal within
+//! one grey level.
 //!
 //! The volume, the radius map, the transfer table and the rays' directions stay on the device; a picture needs one
 //! small upload, one dispatch and one read-back. Voxels are read as integers and interpolated in f32 in the shader

@@ -70,7 +70,8 @@ impl Gpu {
             name: self.facts.name.clone(),
             reason,
         };
-        // The first thread that detects the completion runs all callbacks; this may be the thread of another picture.
+        // The first thread that detects the completion of a read-back runs all callbacks, also that of another thread's
+        // picture.
         receiver
             .recv_timeout(self.facts.kind.patience())
             .map_err(|_| lost("the picture did not come back".to_owned()))?

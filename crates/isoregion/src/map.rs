@@ -12,8 +12,8 @@ use crate::{
     uniform::{Source, Unit},
 };
 
-/// Minimum number of slices of a slab that is divided between two threads; for fewer slices the division costs more
-/// than it saves.
+/// Minimum number of slices of a slab that is divided between two threads; with fewer slices the division takes more
+/// time than it saves.
 const MIN_SLAB_SLICES: usize = 8;
 
 /// Maximum number of value intervals for which a map of cells is built directly from values, without labels.

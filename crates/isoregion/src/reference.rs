@@ -10,7 +10,8 @@ pub const MAX_RADIUS_VOX: u8 = 255;
 
 /// Compute the radius of every voxel by the paper's iteration (4.2).
 ///
-/// Departures: radii stop at 255, so that one byte can store them; label 0 has radius 0 (it means "not one colour").
+/// Departures from the paper: radii stop at 255, so that one byte can store them; a voxel with label 0 ("not one
+/// colour") has radius 0.
 ///
 /// # Errors
 ///

@@ -1,7 +1,7 @@
 //! Benchmark of whole least-cost trees: ns per voxel in a noisy field with a cheap tree of tubes, both costs, one
 //! thread.
 //!
-//! `cargo bench -p carina-airpath --bench field [FILE.f32 NX NY NZ I J K]`: a raw field and the root's voxel.
+//! `cargo bench -p carina-leastcost --bench field [FILE.f32 NX NY NZ I J K]`: a raw field and the root's voxel.
 
 use std::time::Instant;
 

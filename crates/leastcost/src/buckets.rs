@@ -1,9 +1,9 @@
 //! Monotone priority queue of integer costs: Dial's circular buckets (1969), each a chain of small blocks in one pool.
 //!
-//! The span of a bucket is a power of two that is at most the cost of any edge, so all costs in the front bucket are
-//! final and its nodes may be settled in any order (Dinitz 1978). With span 1 the order is that of the costs
-//! themselves. Blocks keep the entries of one bucket together in memory, and the pool needs little more memory than the
-//! open entries.
+//! The range of costs in a bucket (its span) is a power of two that is at most the cost of any edge, so all costs in
+//! the front bucket are final and its nodes may be settled in any order (Dinitz 1978). With span 1 the order is that of
+//! the costs themselves. Blocks keep the entries of one bucket together in memory, and the pool needs little more
+//! memory than the open entries.
 
 /// Block number that marks the absence of a block.
 const END: u32 = u32::MAX;
@@ -38,8 +38,8 @@ pub(crate) struct Block {
 impl Buckets {
     /// Create a queue whose open costs differ by at most `reach`; one bucket holds 2^`span_log2` costs.
     pub(crate) fn new(reach: u64, span_log2: u32) -> Self {
-        // The queue has two buckets more than the reach: the front bucket, and the one in which the largest cost may
-        // begin.
+        // The queue has two buckets more than `reach` fills: the front bucket, and the bucket in which the range of the
+        // largest cost may begin.
         let num_buckets = ((reach >> span_log2) as usize + 2)
             .next_power_of_two()
             .max(64);

@@ -52,11 +52,11 @@ pub fn squared_distances(inside: &[bool], shape_ijk: [usize; 3], limit: f32) -> 
     found
 }
 
-/// Return the distance in mm from the centre of each inside voxel to the nearest face of an outside voxel, about.
+/// Return the approximate distance in mm from the centre of each inside voxel to the nearest face of an outside voxel.
 ///
-/// The distance is that between the centres, less half a voxel and at least a quarter of one, rounded to a thousandth
-/// of a millimetre. It is 0 outside, and infinite where the distance between the centres exceeds `reach_mm` by more
-/// than half a voxel.
+/// The distance is computed as that between the two voxel centres, less half a voxel and at least a quarter of one,
+/// rounded to a thousandth of a millimetre. It is 0 outside, and infinite where the distance between the centres
+/// exceeds `reach_mm` by more than half a voxel.
 ///
 /// # Panics
 ///
@@ -68,7 +68,7 @@ pub fn ball_distances_mm(
     step_mm: f64,
     reach_mm: f64,
 ) -> Vec<f32> {
-    // The margin keeps voxels at exactly this distance, whatever the rounding of the quotient.
+    // The margin includes voxels at exactly this distance, whatever the rounding of the quotient.
     let limit = (reach_mm / step_mm + 0.5 + 1e-3) as f32;
     let mut found = squared_distances(inside, shape_ijk, limit);
     let greatest = found

@@ -53,7 +53,7 @@ impl TrackError {
 
 /// Observer of a long computation: receives the progress and can stop the computation.
 pub trait Watch: Sync {
-    /// Report the completed share (0 to 1) of the current stage of the computation.
+    /// Report the completed fraction (0 to 1) of the current stage of the computation.
     ///
     /// # Errors
     ///

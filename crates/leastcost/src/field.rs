@@ -20,8 +20,8 @@ pub(crate) const HERE: usize = 13;
 
 /// Number of quanta of the cheapest step with a cost above 0.
 ///
-/// Rounding by half a quantum is 0.4 % of this step, so a sum of such steps is accurate within 0.4 % as well. The
-/// remaining 0.1 % up to the promised 0.5 % is far more than the rounding of f32 needs.
+/// Rounding by half a quantum is 0.4 % of this step, so a sum of such steps is accurate within 0.4 % as well. Path
+/// costs are documented as accurate within 0.5 %; the remaining 0.1 % is far more than the rounding of f32 needs.
 const CHEAPEST_STEP_QUANTA: f32 = 128.0;
 /// Maximum number of quanta of a step; f32 represents all integers up to this number exactly, with one bit to spare.
 pub(crate) const MAX_STEP_QUANTA: f32 = 4_194_304.0;

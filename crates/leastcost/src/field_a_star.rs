@@ -67,8 +67,9 @@ pub fn least_path<C: StepCost>(
     let from_root = aim.bound(layout.ijk(root));
     let mut reached = vec![0u64; field.num_nodes()];
     reached[root as usize] = HERE as u64 + 1;
-    // The reach is two steps: a step may be the most expensive one and increase the bound by the same amount. A bucket
-    // holds one cost only, because steps straight towards the target do not change the sum of cost and bound.
+    // The queue must accept costs that exceed the lowest one by two of the most expensive steps: such a step adds its
+    // cost, and may increase the bound by the same amount. A bucket contains one cost only, because steps straight
+    // towards the target do not change the sum of cost and bound.
     let mut queue = Buckets::new(2 * quanta.dearest as u64, 0);
     queue.push(0, root);
     let mut num_settled = 0;
@@ -142,9 +143,9 @@ fn path_to(layout: &Layout, reached: &[u64], target: u32) -> Vec<u32> {
 struct Aim<'a> {
     field: &'a VoxelField<'a>,
     target: [usize; 3],
-    /// For costs by the entered voxel: cost in quanta of the cheapest step.
+    /// For costs by the entered voxel ([`StepCost::BY_VOXEL`]): cost in quanta of the cheapest step.
     ///
-    /// For costs by both ends: smallest cost of any step per mm, quanta.
+    /// For costs by the two voxels of a step: smallest cost in quanta of any step, divided by its length in mm.
     quanta_per: f64,
     by_voxel: bool,
 }
@@ -171,8 +172,9 @@ impl<'a> Aim<'a> {
 
     /// Return a lower bound of the cost from a voxel to the target, in quanta.
     ///
-    /// For costs by the entered voxel, the number of steps is the largest offset along an axis; for costs by both ends,
-    /// the straight line counts. Rounded down, the bound stays consistent, because steps cost whole quanta.
+    /// For costs by the entered voxel, the bound counts the least number of steps, which is the largest offset along an
+    /// axis; for costs by the two voxels of a step, it uses the length of the straight line. Rounded down, the bound
+    /// stays consistent, because steps cost whole quanta.
     #[inline]
     fn bound(&self, ijk: [usize; 3]) -> u64 {
         if self.by_voxel {

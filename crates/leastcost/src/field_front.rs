@@ -91,7 +91,8 @@ impl<C: StepCost> FieldTracker<C> {
         }
     }
 
-    /// Settle the nodes of a block of the queue's first bucket, for costs by both ends of a step; return their number.
+    /// Settle the nodes of a block of the queue's first bucket, for costs by the two voxels of a step; return their
+    /// number.
     pub(crate) fn relax(&mut self, values: &[f32], block: Block) -> usize {
         let Self {
             quanta,

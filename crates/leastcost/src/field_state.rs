@@ -28,10 +28,10 @@ pub struct FieldTracker<C: StepCost> {
     pub(crate) step_here: Vec<u8>,
     /// One bit for each voxel and for a rim round the box.
     ///
-    /// The value is 1 if a path may still change the voxel: the first path for costs by the entered voxel, a cheaper
-    /// one for costs by both ends.
+    /// The value is 1 if a path may still change the voxel. With costs by the entered voxel, only the first path to a
+    /// voxel changes it; with costs by the two voxels of a step, each cheaper path does.
     pub(crate) open: Vec<u8>,
-    /// For costs by both ends: `MAX_QUANTA` minus the least cost so far of each voxel.
+    /// For costs by the two voxels of a step: `MAX_QUANTA` minus the least cost so far of each voxel.
     ///
     /// The value is 0 for a voxel that no path has reached, so zeroed memory needs no initialisation.
     pub(crate) left: Vec<i32>,

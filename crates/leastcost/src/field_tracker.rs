@@ -1,12 +1,12 @@
 //! Resumable tree of least-cost paths over a whole volume, without a graph in memory (paper 6, Algorithm 1).
 //!
 //! The tracker stores one byte per voxel (the step from its predecessor) and one bit (whether a path may still change
-//! the voxel). For costs by the entered voxel no more is needed, because the first step to a voxel has the least cost.
-//! For costs by both ends the tracker also stores the 4 bytes of the least cost so far. Single targets are reached with
-//! the queue in [`crate::buckets`], voxel by voxel ([`crate::field_front`]): for a target near the root only the voxels
-//! between are settled, and no memory is written where no path has come. All voxels at once are swept in tiles
-//! ([`crate::field_sweep`]), which needs 4 bytes per voxel with either cost during the sweep. Of several steps with the
-//! same cost the one with the first cell is stored, so that both methods give the same tree.
+//! the voxel). For costs by the voxel that a step enters no more is needed, because the first step to a voxel has the
+//! least cost. For costs by both voxels of a step the tracker also stores the 4 bytes of the least cost so far. Single
+//! targets are reached with the queue in [`crate::buckets`], voxel by voxel ([`crate::field_front`]): for a target near
+//! the root only the voxels between are settled, and no memory is written where no path has come. All voxels at once
+//! are swept in tiles ([`crate::field_sweep`]), which needs 4 bytes per voxel with either cost during the sweep. Of
+//! several steps with the same cost the one with the first cell is stored, so that both methods give the same tree.
 
 use carina_grid::InstructionSet;
 
@@ -39,8 +39,8 @@ impl<C: StepCost> FieldTracker<C> {
         } else {
             fresh::<i32>(num_nodes)
         };
-        // Costs by the entered voxel need the exact order of the costs; costs by both ends only require that no step
-        // stays within the front bucket.
+        // Costs by the entered voxel need the exact order of the costs; costs by both voxels of a step only require
+        // that no step stays within the front bucket.
         let span_log2 = if C::BY_VOXEL {
             0
         } else {

@@ -30,7 +30,7 @@ pub enum Terrain {
     Lumen(Option<WallLevels>),
 }
 
-/// Node that represents a point of the volume, and its distance from the point's voxel.
+/// Node that represents a point of the volume, and its distance from the voxel of this point.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Place {
     /// Number of the graph's node that represents the point.
@@ -224,7 +224,8 @@ impl GraphTracker {
     }
 }
 
-/// Return the `IsoRegion` radii of a box's voxels for the labels; with `lumen_only`, 0 for voxels outside the lumen.
+/// Return the `IsoRegion` radius of each voxel of a box (half the side of the cube of equal labels round it); with
+/// `lumen_only`, 0 for voxels outside the lumen.
 fn box_radii(
     values: VolumeView<'_, i16>,
     lumen: &[u8],

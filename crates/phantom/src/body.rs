@@ -70,7 +70,7 @@ pub(crate) struct Surfaces {
 }
 
 impl Surfaces {
-    /// Return the distance in mm to the nearest surface at which the tissue changes.
+    /// Return the distance in mm from this point to the nearest surface at which the tissue changes.
     pub(crate) fn nearest(&self) -> f64 {
         // The muscle of the chest wall has surfaces 18 mm and 22 mm outside the cavity; fat begins 2 mm and muscle 12
         // mm under the skin.
@@ -251,7 +251,8 @@ fn with_spine(hu: f64, p: [f64; 3], spine: f64, spine_y: f64, neck: f64, sigma_m
     mix(hu, 22.0, cover(canal, sigma_mm))
 }
 
-/// Return the signed distance to the lungs in mm, negative inside; accurate to a few per cent near the surface.
+/// Return the signed distance in mm from a point to the surface of the lungs, negative inside; accurate to a few per
+/// cent near the surface.
 pub(crate) fn lung_distance(p: [f64; 3]) -> f64 {
     surfaces(p).lung
 }

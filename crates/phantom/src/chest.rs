@@ -203,8 +203,8 @@ impl ChestOptions {
 impl Chest {
     /// Generate a chest on the grid of its options.
     ///
-    /// `proceed` is called repeatedly with the completed share (0 to 1); if it returns `false`, the function ends with
-    /// [`PhantomError::Cancelled`].
+    /// `proceed` is called repeatedly with the completed fraction of the work (0 to 1); if it returns `false`, the
+    /// function ends with [`PhantomError::Cancelled`].
     ///
     /// # Errors
     ///

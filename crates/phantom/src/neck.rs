@@ -10,7 +10,7 @@ use crate::anatomy::{Solid, Tissue};
 use crate::random::{Random, value_noise};
 use crate::shapes::{Piece, cover, ellipsoid, mix, smooth_max, smooth_min};
 
-/// Height above the carina of the top of a chest's box with its neck, mm.
+/// Height of the upper face of the box of a chest with a neck, mm above the carina.
 pub(crate) const NECK_TOP_Z: f64 = 195.0;
 /// Height above the carina at which spine, muscles and skin begin to change from the chest's shape to the neck's, mm.
 const INLET_Z: f64 = 85.0;

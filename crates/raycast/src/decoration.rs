@@ -2,14 +2,16 @@
 //! are drawn.
 //!
 //! The caller computes the grid along the patient's axes from the airway tree. The shading interpolates the grid at the
-//! wall of each pixel. The casters do not read the grid, so the grid moves no surface (docs/decisions/0133).
+//! wall of each pixel. The casters do not read the grid, so it changes the colour of a wall but not its position
+//! (docs/decisions/0133).
 
 use crate::RaycastError;
 
 /// Number of anatomical values in a cell of the grid.
 ///
-/// The values are: phase of the rings; position across the airway, to the left and to the back, in radii; then, from 0
-/// to 1, strength of the rings, proximal colour, ridge of a fork, membranous wall and evenness of the rings.
+/// The values are: phase of the rings along the airway; position across the airway, to the left and to the back, as
+/// multiples of its radius; then, each from 0 to 1, strength of the rings, nearness to the trachea (for the colour),
+/// strength of a fork's ridge, strength of the membranous wall, and regularity of the rings.
 pub const CHANNELS: usize = 8;
 
 /// Anatomical data of airway walls on a coarse grid; zeros where there is no wall.

@@ -42,10 +42,11 @@ impl Focus {
         })
     }
 
-    /// Return the radius of the circle of confusion at a depth in pixels; a depth of NaN counts as infinitely far.
+    /// Return the radius in pixels of the circle of confusion of a point at `depth_mm`; NaN counts as infinitely far.
     ///
-    /// The circles of a thin fixed-focus lens are proportional to `|1/d - 1/d_focus|`. At both ends of the range the
-    /// circle has the largest sharp size, which determines focus and aperture.
+    /// The circles of a thin fixed-focus lens are proportional to `|1/d - 1/d_focus|`. At the nearest and at the
+    /// farthest distance in focus the circle has the largest diameter that counts as sharp ([`SHARP_PART`]); these two
+    /// conditions determine focus and aperture.
     fn radius_px(self, depth_mm: f32, side: f32) -> f32 {
         let (near, far) = (1.0 / self.near_mm, 1.0 / self.far_mm);
         let (focus, range) = (f32::midpoint(near, far), (near - far) / 2.0);
@@ -57,8 +58,8 @@ impl Focus {
 
 /// Blur a picture (RGB) by the depth of its pixels (mm; NaN for a pixel without a wall).
 ///
-/// Each pixel gathers the pixels whose circle of confusion reaches it. Pixels behind a sharper edge do not spread over
-/// that edge. Pixels for which `rays` has no ray are neither read nor changed.
+/// Each pixel gathers the pixels whose circle of confusion reaches it. The colours of pixels behind a sharp edge are
+/// not spread over the edge. Pixels for which `rays` has no ray are neither read nor changed.
 ///
 /// # Errors
 ///

@@ -8,7 +8,7 @@ use crate::{
 shared_constants! {
     /// Number of rays along each side of the grid of rays with which the exposure is measured.
     const METERED: usize = 12;
-    /// Linear light, before the tone curve, to which the bright parts of an automatically exposed picture are set.
+    /// Linear light, before the tone curve, that an automatic exposure gives to the bright parts of a picture.
     const EXPOSED_TO: f64 = 1.1;
 }
 
@@ -38,7 +38,7 @@ impl Lighting {
                 (wall.hit >= 0.0).then_some((column, row, wall))
             })
             .collect();
-        // A ray without a wall counts as dark.
+        // A ray that meets no wall counts as dark.
         let sum: f64 = brightness(frame, self, &walls)
             .into_iter()
             .map(|v| f64::from(v).powi(4))

@@ -52,10 +52,11 @@ pub struct Frame<'a> {
     pub(crate) origin_ijk: [f64; 3],
     origin: Lanes,
     pub(crate) step_mm: f32,
-    /// Metric of gradients `g` per voxel: `|gradient in LPS per mm|^2 = g^T metric g`; components xx, yy, zz, 2xy, 2xz,
-    /// 2yz.
+    /// Metric that gives the length of a gradient `g` per voxel: `|gradient in LPS per mm|^2 = g^T metric g`; the items
+    /// are xx, yy, zz, 2xy, 2xz, 2yz.
     pub(crate) metric: [f32; 6],
-    /// Distance in voxels by which a leap stays inside the skipped cube, to allow for f32 rounding of positions.
+    /// Distance in voxels by which a leap (skipped part of a ray) stays inside the cube of equal labels, to allow for
+    /// f32 rounding of positions.
     pub(crate) guard_vox: f32,
     /// Transparency below which a ray stops.
     pub(crate) stop: f32,
@@ -95,7 +96,8 @@ impl<'a> Frame<'a> {
     ///
     /// # Errors
     ///
-    /// Returns an error if the light or the appearance is not valid or needs another interpolation, or if both are set.
+    /// Returns an error if a number of the light or of the appearance is not valid, if both are set, or if one of them
+    /// is set and samples have the value of the nearest voxel.
     pub fn new(
         volume: VolumeView<'a, i16>,
         table: &'a TransferTable,

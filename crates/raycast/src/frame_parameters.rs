@@ -4,8 +4,8 @@ use carina_grid::Affine;
 
 use crate::{CastStats, Frame, FrameOptions, leap::Price};
 
-/// Return the smallest number of transparent samples that a leap must skip so that the ray reads the radius map again
-/// without delay.
+/// Return the minimum length of a leap, in samples, that resets a ray's patience (number of samples before its next
+/// look-up).
 #[must_use]
 pub const fn paying_leap(nearest: bool) -> u32 {
     Price::of(CastStats::sample_loads(nearest), 1).pays
@@ -26,7 +26,7 @@ pub struct FrameParameters<'a> {
     ///
     /// The items are xx, yy, zz, 2xy, 2xz, 2yz.
     pub metric: [f32; 6],
-    /// Distance by which a leap stays inside the skipped cube, voxels.
+    /// Distance in voxels by which a leap (skipped part of a ray) stays inside the cube of equal labels.
     pub guard_vox: f32,
     /// Upper bound of the number of steps of any ray.
     pub most_steps: f64,

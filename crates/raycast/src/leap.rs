@@ -3,13 +3,13 @@
 //!
 //! # When a ray looks up the map
 //!
-//! A look-up that finds no region costs a read and saves nothing. In the open lumen nearly every look-up saves samples;
-//! in dense or noisy tissue none does, and leaping must not cost more than brute force there. Each ray therefore has a
-//! waiting length, called *patience*. After a look-up that saved nothing, the ray takes this number of samples before
-//! the next look-up, and then doubles it, up to [`MAX_PATIENCE`]. A leap that saves enough resets the patience.
-//! Directly after a sample with opacity a ray makes no look-up, because the next sample nearly always has opacity too.
-//! If the camera is in no region, or outside the volume (whose outermost voxels have radius 0), all rays start with
-//! [`BLIND_SAMPLES`] samples and a longer patience.
+//! A look-up (read of the radius map) that finds no uniform region costs a memory read and saves nothing. In the open
+//! lumen nearly every look-up saves samples; in dense or noisy tissue no look-up does, and leaping must not cost more
+//! than brute force there. Each ray therefore has a waiting length, called *patience*. After a look-up that saved
+//! nothing, the ray takes this number of samples before the next look-up, and then doubles it, up to [`MAX_PATIENCE`].
+//! A leap that saves enough resets the patience. Directly after a sample with opacity a ray makes no look-up, because
+//! the next sample nearly always has opacity too. If the camera is in no region, or outside the volume (whose outermost
+//! voxels have radius 0), all rays start with [`BLIND_SAMPLES`] samples and a longer patience.
 //!
 //! The rule depends only on the ray itself and on the camera's voxel, so the result is the same in packets and for each
 //! division of the picture. In the worst case (a ray that leaves a region and finds no other) the rule costs about one
@@ -33,7 +33,7 @@ pub(crate) const MAX_STEPS: f32 = 1e9;
 
 /// Distance in voxels that a leap may go from the centre of a cell of radius 0; each unit of a cell's radius adds 1.
 ///
-/// The known region of a cell ends half a voxel before the cell's radius.
+/// The value is negative, because the region with known values ends half a voxel before the cell's radius.
 pub(crate) const CELL_REACH: f32 = -0.5;
 
 /// Number of samples that a ray takes after the first read of the radius map that did not lead to a leap.
@@ -46,12 +46,14 @@ pub(crate) const MAX_PATIENCE: u32 = 128;
 /// Number of samples before the first read of the radius map, for rays that do not start in a uniform region.
 const BLIND_SAMPLES: u32 = 8;
 
-/// Lengths that a leap needs to save time, in samples, computed from the memory reads of a sample and of a look-up.
+/// Minimum lengths of a leap, in samples, computed from the numbers of memory reads of a sample and of a look-up.
 #[derive(Clone, Copy)]
 pub(crate) struct Price {
     /// Length of a leap in samples below which reading the radius map costs more time than the skipped samples.
     pub worth: u32,
-    /// Smallest length of a leap, in samples, that also compensates for the next few look-ups without result.
+    /// Minimum length of a leap, in samples, that also compensates for the next few look-ups without a leap.
+    ///
+    /// Such a leap resets the ray's patience.
     pub pays: u32,
 }
 
@@ -120,7 +122,8 @@ impl LookupSchedule {
         self.patience = (2 * self.patience).min(MAX_PATIENCE);
     }
 
-    /// Set the sample at which the map is read again, after a leap from sample `k` over `n` samples.
+    /// Update the schedule after a leap from sample `k` over `n` samples: postpone the next look-up if the leap was too
+    /// short to save time, reset the patience if it was long.
     #[inline(always)]
     fn leaped(&mut self, k: u32, n: u32, price: Price) {
         if n < price.worth {
@@ -238,7 +241,7 @@ pub(crate) fn cast_transparent<const SHADED: bool, const NEAREST: bool, const HI
     gathered
 }
 
-/// Cast a ray that skips regions of every class; the segment table gives the colour of a skipped segment.
+/// Cast a ray that skips regions of every class, opaque or transparent; the segment table gives a segment's colour.
 ///
 /// The result is within one grey level of brute force: a segment's colour is rounded once, the colours of its samples
 /// one by one. A leap that crosses the stop limit ends at the sample where brute force stops.

@@ -1,6 +1,6 @@
 //! Rule that decides for each picture whether its rays skip regions of equal labels or read every sample.
 //!
-//! In dense or noisy tissue leaping skips too few samples to compensate for its look-ups.
+//! In dense or noisy tissue a ray skips too few samples to compensate for its look-ups (reads of the radius map).
 //!
 //! A few rays that are spread over the whole picture are cast first and counted. The rule uses only these counts, so
 //! the decision is the same for every strip, instruction set and number of threads. Both casters give the same picture,
@@ -51,8 +51,9 @@ pub(crate) fn faster_method<'a>(
 fn pays(method: Method<'_>, stats: CastStats) -> bool {
     let num_rays = (TRIAL_SIDE * TRIAL_SIDE) as u64;
     if let Method::LeapValues(_) = method {
-        // A step takes about as long as a sample in a volume that fits the caches; the start of a ray and its last
-        // segment, whose end is searched, take as long as 22 samples (benchmarks/measurements/rendering.md, 0104).
+        // A step takes about as long as a sample of a volume that fits the caches. The start of a ray, and the search
+        // for the end of its last segment, together take as long as 22 samples (benchmarks/measurements/rendering.md,
+        // 0104).
         let num_samples = stats.num_samples + stats.num_skipped;
         return 20 * num_samples > 19 * stats.num_lookups + 440 * num_rays;
     }

@@ -60,8 +60,8 @@ impl Light {
         for _ in 0..self.shininess_log2 {
             highlight *= highlight;
         }
-        // The loss is reach^2 / (reach^2 + d^2): inverse square at a distance, constant nearby, as with a scope's
-        // automatic exposure.
+        // The factor of the remaining light is reach^2 / (reach^2 + d^2): it decreases with the square of a large
+        // distance d and is constant at a small one, like the automatic exposure of a scope.
         let part = distance_mm / self.reach_mm;
         let left = 1.0 / part.mul_add(part, 1.0);
         let own = facing.mul_add(self.diffuse, self.ambient);

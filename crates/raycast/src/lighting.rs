@@ -36,7 +36,7 @@ impl Lighting {
         Self::reading(frame, bricks)
     }
 
-    /// Return the lighting of a frame that reads wall normals from `bricks`, without its exposure.
+    /// Return the lighting of a frame, without its exposure, with the cache `bricks` for the wall normals.
     pub(crate) fn reading(frame: &Frame<'_>, bricks: Arc<NormalBricks>) -> Option<Self> {
         let look = frame.options.appearance?;
         let camera = frame.camera();

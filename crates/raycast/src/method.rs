@@ -9,9 +9,10 @@ use crate::{Frame, Interpolation, composite::Gathered};
 pub enum Method<'a> {
     /// Brute force: every sample is read.
     Brute,
-    /// Skip regions of transparent classes only, by the radius map of the cells, `[z, y, x]`.
+    /// Skip regions of transparent classes only (empty-space skipping).
     ///
-    /// The variant contains the map of cells between voxels of these classes ([`carina_isoregion::cell_map`]).
+    /// The variant contains the radius map of the cells between voxels of these classes, `[z, y, x]`
+    /// ([`carina_isoregion::cell_map`]).
     LeapTransparent(&'a [u8]),
     /// Skip regions of all classes by the segment table, only for pictures without shading whose samples are
     /// interpolated.
@@ -93,10 +94,10 @@ impl CastStats {
 
     /// Return the statistics with the number of memory reads, computed from the other counts.
     ///
-    /// Counted are the reads of samples and their gradients, one radius for each look-up, and one label for each leap
-    /// over a class. With leaps over values a look-up is the only read of a sample, unless its voxel has no label. Reads
-    /// of the transfer and segment tables are left out: the tables are small and stay in the nearest cache, and a leap
-    /// saves these reads as well.
+    /// Counted are the reads of samples and of their gradients, one read of a radius for each look-up, and one read of
+    /// a label for each leap over a class. With leaps over values, a look-up is the only read of a sample, unless the
+    /// label of the sample's voxel is 0. Reads of the transfer and segment tables are left out: the tables are small
+    /// and stay in the nearest cache, and a leap saves these reads as well.
     #[must_use]
     pub fn with_loads(self, frame: &Frame<'_>, method: Method<'_>) -> Self {
         let nearest = frame.options.interpolation == Interpolation::Nearest;

@@ -99,8 +99,9 @@ pub(crate) fn dot(u: [f32; 3], v: [f32; 3]) -> f32 {
 
 /// Return the range of values that determines the normal of a wall.
 ///
-/// The range is the transfer function's ramp and about half the contrast of an airway to each side of the ramp's
-/// middle, limited to the values of the volume.
+/// The middle of the range is the middle of the transfer function's rise from transparent to opaque. The range includes
+/// this rise and at least half of the contrast between air and tissue on each side of the middle, and is limited to the
+/// values of the volume.
 fn held_between(table: &TransferTable) -> [f32; 2] {
     let most = table.entries.iter().map(|e| e[3]).fold(0.0, f32::max);
     let opaque = table.entries.iter().position(|e| e[3] >= 0.9 * most);

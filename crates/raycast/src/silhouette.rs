@@ -2,9 +2,9 @@
 //! staircase.
 //!
 //! The choice of these pixels depends only on the first walls of a pixel and of its four neighbours in the whole
-//! picture, and the rays have fixed positions in the pixel. So strips agree with the whole picture, leaps with brute
-//! force, and packets with the scalar casters. Depths and measurements remain those of the ray through the pixel's
-//! centre.
+//! picture, and the two rays have fixed positions in the pixel. So strips agree with the whole picture, casting with
+//! leaps agrees with brute force, and packets agree with the scalar casters. Depths and measurements remain those of
+//! the ray through the pixel's centre.
 
 use std::{
     ops::Range,
@@ -38,7 +38,8 @@ shared_constants! {
 
     /// Minimum wrap lighting of a wall at a silhouette.
     ///
-    /// The edge of thin, wet mucosa is not the dark line that matt stone shows where it turns away.
+    /// The wet mucosa at an edge scatters light, so its edge is not the dark line that a matt surface shows where it
+    /// turns away.
     const EDGE_WRAP: f32 = 0.6;
 }
 

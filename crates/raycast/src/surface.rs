@@ -163,8 +163,8 @@ fn cast_wall(
 
 fn hit_of(frame: &Frame<'_>, normals: &Normals, column: usize, row: usize, hit: f32) -> Hit {
     let ray = frame.ray(column, row);
-    // The position is computed in f64: f32 is accurate to 0.03 um at the far end of a patient, but sums of such
-    // positions must not drift.
+    // The position is computed in f64, so that sums of such positions do not accumulate rounding errors; f32 would be
+    // accurate to 0.03 um at the far end of a patient.
     let at: [f64; 3] = std::array::from_fn(|a| {
         f64::from(hit).mul_add(f64::from(ray.delta[a]), frame.origin_ijk[a])
     });

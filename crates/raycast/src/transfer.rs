@@ -166,7 +166,8 @@ impl TransferTable {
         self.at_hu(hu)
     }
 
-    /// Return the colour and opacity of an integer value; a value outside the table has those of the nearest end.
+    /// Return the colour and opacity of an integer value; a value outside the table has those of the table's first or
+    /// last entry.
     #[inline(always)]
     pub(crate) fn at_hu(&self, hu: i32) -> [f32; 4] {
         let n = (hu - self.lo_hu).clamp(0, self.last) as usize;

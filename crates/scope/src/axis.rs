@@ -21,8 +21,8 @@ const SHAFT_TOLERANCE_MM: f64 = 0.15;
 const MIN_SWEEPS: usize = 3;
 /// Number of sweeps after which a relaxation of the scope's axis ends, also if nodes still move.
 const MAX_SWEEPS: usize = 36;
-/// Number of sweeps within which the penetration must fall by half; otherwise the relaxation ends, as the scope does
-/// not fit.
+/// Number of sweeps within which the penetration of the wall must fall by half; otherwise the relaxation ends, because
+/// the scope does not fit into the lumen at this position.
 const PATIENCE: usize = 8;
 /// Number of nodes near the tip that every sweep of a relaxation processes.
 ///
@@ -59,7 +59,7 @@ fn mix(a: Point, b: Point, t: f64) -> Point {
     std::array::from_fn(|k| a[k] + t * (b[k] - a[k]))
 }
 
-/// Return `v`, which is perpendicular to `from`, rotated by the smallest rotation that takes `from` to `to`.
+/// Return `v`, a vector perpendicular to `from`, rotated by the smallest rotation that takes `from` to `to`.
 fn transported(v: Point, from: Point, to: Point) -> Point {
     let share = dot(to, v) / (1.0 + dot(from, to)).max(1e-6);
     let turned: Point = std::array::from_fn(|a| v[a] - share * (from[a] + to[a]));
@@ -94,7 +94,7 @@ impl Axis {
         unit(sub(self.nodes[node - 1], self.nodes[node])).unwrap_or([0.0, 0.0, -1.0])
     }
 
-    /// Return the up direction of each segment between two nodes.
+    /// Return the up direction (unit vector, LPS) of each segment between two nodes of the scope's axis.
     ///
     /// Index 0 is the segment between nodes 1 and 0, at the tip; the last index is the segment behind the entry.
     pub(crate) fn ups(&self, first_up: Point, roll_rad: f64) -> Vec<Point> {
@@ -113,7 +113,7 @@ impl Axis {
         ups
     }
 
-    /// Update [`Axis::ups`] after a change of the first `num` nodes.
+    /// Update the up directions of the segments ([`Axis::ups`]) after a change of the first `num` nodes.
     fn update_ups(&self, ups: &mut [Point], num: usize) {
         let (mut up, mut before) = (ups[num], self.forward(num + 1));
         for node in (1..=num).rev() {
@@ -206,7 +206,8 @@ impl Axis {
         }
     }
 
-    /// Return the second difference of the node positions in the unloaded (rest) shape, for each node.
+    /// Return, for each node, the second difference of the node positions in the shape that the scope has without
+    /// contact with a wall.
     fn rest(&self, body: &ScopeBody, ups: &[Point], flexion_rad: f64) -> Vec<Point> {
         let (rigid, num) = (body.rigid_nodes(), body.bending_nodes());
         let bow = 2.0 * NODE_MM * libm::sin(0.5 * flexion_rad / num as f64);
@@ -264,7 +265,8 @@ impl Axis {
 
     /// Return the positions along the shaft at which the drive maintains a distance to the wall.
     ///
-    /// The positions are nodes and the midpoints between them, each as the pair of nodes that are moved.
+    /// The positions are nodes of the axis and the midpoints between two nodes; each is returned as the pair of nodes
+    /// that are moved.
     fn shaft_places(body: &ScopeBody, num: usize) -> impl Iterator<Item = (usize, usize)> + use<> {
         let base = body.rigid_nodes().min(num);
         (base..num).flat_map(move |n| [(n, n), (n, n + 1)])
@@ -311,7 +313,7 @@ impl Axis {
             let Some(away) = field.away_from_wall(least.at_lps) else {
                 break;
             };
-            // The tip acts as a lever: a push at a fraction of its length moves both of its ends.
+            // The tip acts as a lever: a push between its two ends moves both ends, the nearer one more.
             let share = (-least.in_tip[2] / (base as f64 * NODE_MM)).clamp(0.0, 1.0);
             let norm = share * share + (1.0 - share) * (1.0 - share);
             let (front, back) = ((1.0 - share) / norm, share / norm);
@@ -348,8 +350,8 @@ impl Axis {
 
     /// Return whether the tip and the shaft's first `num` nodes are in the lumen, within the tolerances.
     ///
-    /// The result equals that of [`Self::depths_mm`], whose depths need more time: here the first place that penetrates
-    /// the wall ends the test.
+    /// The result is that of comparing the depths of [`Self::depths_mm`] with the tolerances. It is computed faster,
+    /// because the first place that penetrates the wall ends the test.
     fn fits(
         &self,
         field: &WallField,
@@ -403,7 +405,7 @@ impl Axis {
         let is_free = free > body.rigid_nodes();
         let mut last_depth = f64::INFINITY;
         let mut ups = Vec::new();
-        // Number of nodes that the sweep before this one may have moved.
+        // Number of nodes that the previous sweep may have moved.
         let mut num_moved = free;
         for sweep in 0..MAX_SWEEPS {
             let num = if sweep == 0 {

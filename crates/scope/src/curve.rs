@@ -6,7 +6,7 @@ use crate::gaze::{gaze, smoothed};
 
 /// Distance between the knots of the curve, mm.
 ///
-/// The distance is small relative to a voxel, so straight lines between knots look like a curve.
+/// The knots are much closer than voxels, so the straight lines between them look like a curve.
 const STEP_MM: f64 = 0.25;
 /// Sigma of the smoothing of positions, mm, which removes the steps of voxels but not the bends of an airway.
 const POSITION_SIGMA_MM: f64 = 2.0;

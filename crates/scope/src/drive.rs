@@ -22,8 +22,8 @@ const STEP_RAD: f64 = 0.02;
 const TOUCH_MM: f64 = 0.1;
 /// Distance between tip and wall above which contact ends, mm.
 ///
-/// The limit is larger than that for the beginning of contact, so that a tip that slides along a rough wall counts as
-/// one contact.
+/// The distance is larger than [`TOUCH_MM`], at which contact begins, so that a tip that slides along a rough wall
+/// counts as one contact.
 const RELEASE_MM: f64 = 0.3;
 /// Distances ahead of a blocked tip at which the width of the airway is measured, mm.
 const LOOK_AHEAD_MM: [f64; 4] = [1.0, 2.0, 3.0, 4.0];
@@ -63,7 +63,7 @@ pub struct ContactRecord {
     pub count: u64,
     /// Total time of contact of the tip, s.
     pub time_s: f64,
-    /// Largest [`Contact::depth_mm`] since the scope was placed, mm.
+    /// Maximum of [`Contact::depth_mm`] since the scope was placed in the lumen, mm.
     pub max_depth_mm: f64,
 }
 

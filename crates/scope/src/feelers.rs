@@ -11,13 +11,13 @@ use crate::wall::WallField;
 const EDGE_MM: f64 = 0.6;
 /// Distance between neighbouring balls of the face, the edge and the side behind the edge, mm.
 ///
-/// A ridge of the wall can penetrate between them by `APART^2 / (8 EDGE)`.
+/// A ridge of the wall can penetrate between two neighbouring balls by `APART_MM^2 / (8 EDGE_MM)`.
 const APART_MM: f64 = 0.36;
 /// Distance between the balls on the axis behind the face, mm.
 ///
-/// A ridge penetrates between them by at most 0.03 mm for the thinnest tip.
+/// A ridge of the wall penetrates between two neighbouring balls by at most 0.03 mm for the thinnest tip.
 const AXIS_MM: f64 = 0.4;
-/// Gap that remains between the balls of the tip's surface and the wall, mm.
+/// Gap in mm that the drive leaves between the balls of the tip's surface and the wall.
 ///
 /// At an edge of the wall the interpolated field is some hundredths of a millimetre too large, and a ridge penetrates
 /// between balls by as much.
@@ -30,7 +30,7 @@ const REACH_MM: f64 = 0.75;
 /// clearances up to the end of contact must be exact.
 const GUARD_MM: f64 = 0.5;
 
-/// Distance above the rounding errors of clearances, mm.
+/// Margin in mm for comparisons of clearances, larger than their rounding errors.
 const ROUNDING_MM: f64 = 1e-9;
 
 /// Ball of the tip's surface: its centre in the tip's frame and its radius, mm.
@@ -147,7 +147,8 @@ impl Feelers {
 
     /// Return the smallest clearance of the tip's balls from the wall.
     ///
-    /// A clearance far above the limit of contact may be that of another ball, because groups are skipped.
+    /// If the smallest clearance is far above the limit of contact, the result may be the clearance of another ball,
+    /// because groups of balls are skipped.
     pub(crate) fn clearance(&self, field: &WallField, tip: &Tip, entry: &Entry) -> Clearance {
         self.clearance_until(field, tip, entry, f64::NEG_INFINITY)
     }
@@ -199,7 +200,7 @@ impl Feelers {
 
     /// Return the clearance of ball `n`, and update `least` unless the ball is behind the entry.
     ///
-    /// A clearance above `enough_mm` and above `least` need not be exact.
+    /// A clearance above both `enough_mm` and `least` may be inexact.
     fn take(
         &self,
         least: &mut Clearance,
@@ -250,8 +251,8 @@ mod tests {
 
     /// Return a point of the tip's surface in the tip's frame.
     ///
-    /// `along` is the position on the outline from the face's centre to the rigid end (0 to 1), `turn` the angle round
-    /// the axis.
+    /// `along` is the position on the profile of the tip from the face's centre (0) to the rear end of the rigid tip
+    /// (1), `turn` the angle round the axis.
     fn on_surface(radius: f64, along: f64, turn: f64) -> [f64; 3] {
         let edge = EDGE_MM.min(0.5 * radius);
         let (flat, round) = (radius - edge, 0.5 * core::f64::consts::PI * edge);

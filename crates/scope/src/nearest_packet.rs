@@ -71,7 +71,7 @@ pub(crate) struct Packets<'a> {
     simd: InstructionSet,
 }
 
-/// Vector8 points that are near each other.
+/// Eight points that are near each other.
 pub(crate) struct Together {
     /// Origin of the points' coordinates, LPS mm.
     pub(crate) origin: Point,
@@ -160,8 +160,8 @@ impl<'a> Packets<'a> {
             at[1].plus(E::all(shift[1])),
             at[2].plus(E::all(shift[2])),
         ];
-        // A box is visited only if it may contain a nearer triangle for some lane. Vector8 near points together visit
-        // hardly more boxes than one of these points alone.
+        // A box is visited only if it may contain a nearer triangle for some lane. A search for eight near points
+        // visits hardly more boxes than a search for one of them.
         let mut bound = nearest.bound();
         let mut stack = [(E::all(0.0), 0u32); 64];
         let mut depth = 1;
@@ -277,7 +277,8 @@ impl<E: Vector8> Nearest<E> {
         self.distance = self.distance.lesser(distance);
     }
 
-    /// Return the squared distance, over all lanes, beyond which no triangle changes the result.
+    /// Return for each lane the squared distance beyond which a triangle cannot be nearer than the nearest one so far,
+    /// with a margin of [`BOX_MM`].
     #[inline(always)]
     fn bound(&self) -> E {
         let far = self.distance.plus(E::all(BOX_MM));

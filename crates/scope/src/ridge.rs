@@ -41,7 +41,7 @@ impl Ridge {
     }
 }
 
-/// Ridges of a wall field, with those that matter in each brick of its lattice.
+/// Ridges of a wall field, with a bit mask for each brick of the ridges near the brick.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Ridges {
     all: Vec<Ridge>,
@@ -90,7 +90,8 @@ impl Ridges {
         })
     }
 
-    /// Return the smaller of a distance to the wall in mm and the distance from a point in a brick to a ridge.
+    /// Return the minimum of `mm`, a distance to the wall, and the distance from a point in a brick to the nearest
+    /// ridge.
     pub(crate) fn at_most(&self, brick: usize, p: [f64; 3], mm: f64) -> f64 {
         let (mut bits, mut least) = (self.near[brick], mm);
         while bits != 0 {

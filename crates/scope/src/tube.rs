@@ -21,9 +21,11 @@ pub(crate) const BLOCKS: usize = 8;
 const GROUPS: usize = 4;
 /// Number of blocks of a group of blocks on each axis.
 const GROUP: usize = BLOCKS / GROUPS;
-/// Distance by which a part must surely be inferior to another part before a block leaves it out, mm.
+/// Minimum difference of the distances, mm, by which a part of the tube must be farther than another part before a
+/// block leaves it out.
 ///
-/// It exceeds the rounding errors of the distances, so that they stay the same bit for bit.
+/// The margin exceeds the rounding errors of the distances, so that results are the same, bit for bit, with and without
+/// the lists.
 const GUARD_MM: f64 = 1e-6;
 /// Entry of a brick (cube of samples) that the tube does not reach.
 const NO_BLOCK: u32 = u32::MAX;
@@ -50,7 +52,8 @@ impl Part {
         (-libm::sqrt(self.away(p).1), 1.0)
     }
 
-    /// Return the place along this part nearest to a point, 0 to 1, and the square of its distance in mm.
+    /// Return the position along this part nearest to a point (0 at its start, 1 at its end), and the squared distance
+    /// in mm to it.
     fn away(&self, p: [f64; 3]) -> (f64, f64) {
         let off: [f64; 3] = std::array::from_fn(|a| p[a] - self.from[a]);
         let t = (dot(off, self.along) * self.per_square).clamp(0.0, 1.0);

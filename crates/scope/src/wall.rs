@@ -433,8 +433,8 @@ impl WallField {
 
     /// Return the distance from a point to the wall in mm, if it is below a limit.
     ///
-    /// Otherwise the result may be any value from the limit to the distance. It takes less time than
-    /// [`WallField::distance_mm`], because the tube needs no test where the samples reach the limit.
+    /// Otherwise the result may be any value from the limit to the distance. The method is faster than
+    /// [`WallField::distance_mm`], because the distance to the tube is not computed where the samples reach the limit.
     pub(crate) fn distance_up_to(&self, p_lps: [f64; 3], limit_mm: f64) -> f64 {
         match &self.strain {
             None => self.distance_at_rest(p_lps, limit_mm),
@@ -466,7 +466,7 @@ impl WallField {
         let mut cell = [0usize; 3];
         let mut share = [0.0; 3];
         for a in 0..3 {
-            // The comparison is written so that a NaN is outside.
+            // The comparison is negated so that a NaN counts as outside.
             if !(at[a] >= 0.0 && at[a] <= self.last_ijk[a]) {
                 return -OUTSIDE_MM;
             }
@@ -504,7 +504,8 @@ impl WallField {
         }
     }
 
-    /// Return the interpolated distance in brick `n`, whose place among the bricks is `b`, at a share of a cell.
+    /// Return the distance in mm at a position in a cell of brick `n`; `b` are the indices of the brick, `share` is the
+    /// position in the cell, 0 to 1 on each axis.
     fn sampled_mm(&self, n: usize, cell: [usize; 3], b: [usize; 3], share: [f64; 3]) -> f64 {
         let brick = self.brick_at[n];
         if brick >= FAR_INSIDE {

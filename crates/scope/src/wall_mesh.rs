@@ -16,8 +16,8 @@ type Point = [f64; 3];
 impl WallField {
     /// Compute the wall field of a closed mesh, on samples `spacing_mm` apart.
     ///
-    /// The triangles must be counterclockwise as seen from outside. `proceed` receives the completed share and returns
-    /// false to stop the computation.
+    /// The triangles must be counterclockwise as seen from outside. `proceed` receives the completed fraction (0 to 1)
+    /// of the work and returns false to stop the computation.
     ///
     /// # Errors
     ///
@@ -133,7 +133,7 @@ impl WallField {
 /// Samples that a brick owns, x fastest: all but those on its far faces, which its neighbours own.
 type Owned = Vec<f32>;
 
-/// Share of the work (0 to 1) that determines the kinds of the bricks.
+/// Fraction of the work (0 to 1) that is completed when the kind of each brick is known.
 const CLASSED: f64 = 0.1;
 
 /// Number of packets of eight samples that a brick owns.

@@ -32,7 +32,7 @@ pub struct ExtensionLimits {
 }
 
 impl ExtensionLimits {
-    /// Return whether a path of this probability is accepted even if one of its sides has no wall.
+    /// Return whether a path of this probability is accepted even if it has no wall on one of its sides.
     ///
     /// Thick slices blur the wall above and below an airway more than the wall beside it. In divided slices a missing
     /// wall is therefore no proof of a groove between a vessel and an airway.
@@ -77,22 +77,25 @@ pub(crate) const PENDING: u8 = 3;
 /// State of a voxel that is too bright or has too little wall round it to be reached.
 pub(crate) const REFUSED: u8 = 4;
 
-/// Share of the lung's voxels that are less enclosed by walls than each voxel of a path must be.
+/// Quantile of the enclosures (rise in value to the walls round a voxel) in the lung that is the threshold for each
+/// voxel of a path, unless the limits require a higher one.
 const FOLLOWED_SHARE: f64 = 0.98;
-/// Share of the lung's voxels that are less enclosed by walls than the voxels of an accepted path are on average.
+/// Quantile of the enclosures in the lung that the voxels of an accepted path must reach at least on average.
 const ACCEPTED_SHARE: f64 = 0.995;
 
 /// Maximum fall in value along a path, as a multiple of the enclosure threshold.
 ///
 /// Along an airway the values rise, because its lumen narrows and the blur of its wall increases. A path whose values
-/// rise and fall again by more than this has crossed a wall into the lung.
+/// rise and then fall by more than this limit has crossed a wall into the lung.
 const DROP: f64 = 8.0;
-/// Lower limit of `Levels::drop`, as a fraction of the difference between the brightest lumen and air.
+/// Lower limit of [`Levels::drop`], as a fraction of the difference between the values of the brightest lumen and of
+/// air.
 ///
-/// It applies in volumes with little noise.
+/// The limit applies in volumes with little noise.
 const MIN_DROP: f64 = 0.4;
 
-/// Minimum enclosure of a voxel in a gap of a path, as a fraction of the threshold for other voxels of the path.
+/// Minimum enclosure of a voxel in a gap (part of a path with too little wall), as a fraction of the threshold for
+/// other voxels of the path.
 const GAP_SHARE: f64 = 0.3;
 
 /// Probability from which a path in divided slices is accepted although one side has no wall.
@@ -106,8 +109,8 @@ pub(crate) struct Levels {
     pub(crate) gap: i16,
     /// Maximum fall in value along a path after a rise; a path with a larger fall has crossed a wall.
     pub(crate) drop: f64,
-    /// Maximum number of reached voxels; the search is cancelled above it, because airways beyond the flood are a small
-    /// part of the lung.
+    /// Maximum number of voxels that the search may reach. Above it the search has leaked and is cancelled, because
+    /// airways beyond the flood are a small part of the lung.
     pub(crate) most_reached: usize,
 }
 

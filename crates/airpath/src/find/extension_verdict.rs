@@ -7,9 +7,9 @@ use crate::find::tubeness::Section;
 
 /// Blur (sigma) in mm of a scanner with a smooth kernel, in a CT that was interpolated once between voxels.
 const SCANNER_BLUR_MM: f64 = 0.75;
-/// Radius, as a multiple of the blur's sigma, below which the measured radius of a lumen is that of the blur.
+/// Radius of a lumen, as a multiple of the blur's sigma, below which the blur alone determines the measured radius.
 ///
-/// The required darkness of the lumen then cannot be computed.
+/// The darkness that a lumen must have then cannot be computed from its radius.
 const BLURRED: f64 = 0.75;
 /// Minimum share of the sides of a cross-section that must have a wall; a fork leaves a quarter of the sides open.
 const MIN_WALLED: f64 = 0.7;

@@ -23,22 +23,23 @@ const COVER_MM: f32 = 3.0;
 const FILL_RADII: f64 = 1.5;
 /// Number of path voxels on each side over whose median the level half-way up the wall is smoothed.
 const FILL_NODES: usize = 2;
-/// Length of path on each side of a voxel over which the path's direction is measured, mm.
+/// Length of path before and after a voxel over which the direction of the path is measured, mm.
 const TANGENT_MM: f64 = 2.0;
-/// Length of the first part of a path whose distance from known lumens is ignored, mm.
+/// Length of the first part of a path, mm, that is ignored when the distance of the path from known lumens is measured.
 ///
-/// This part is beside the airway from which the path branches.
+/// This first part is beside the airway from which the path branches.
 const BEYOND_MM: f64 = 5.0;
 /// Upper limit of the measured distance of a path from known lumens, mm.
 const CLEAR_MM: f64 = 6.0;
 /// Radius round a path of the region in which the share of reached lung voxels is measured, mm.
 const AROUND_MM: f64 = 8.0;
-/// Maximum gain of a path by one voxel, as a multiple of the enclosure threshold.
+/// Maximum gain of a path by one voxel (the amount by which the voxel speaks for an airway), as a multiple of the
+/// enclosure threshold.
 ///
 /// The limit prevents that one bright wall compensates for a long part without wall.
 const MAX_GAIN: f64 = 3.0;
-/// Maximum fall of a path's gain below its maximum in divided slices, as a multiple of the enclosure threshold times
-/// mm.
+/// Maximum fall of a path's summed gain below its maximum in divided slices, as a multiple of the enclosure threshold
+/// times mm.
 ///
 /// A path ends after a larger fall. The gain is the sum of the evidence of its voxels, which is negative in lung.
 /// An airway farther on does not belong to this path (docs/decisions/0112).

@@ -1,16 +1,16 @@
 //! Flood of the lumen from the trachea with a rising threshold of the voxel values, and detection of leaks
 //! (docs/algorithms.md).
 //!
-//! The level rises one unit (HU) at a time. A voxel joins if its value is at most the level and it touches the lumen by
-//! a face; the voxels that become reachable through it at the same level join with it. These voxels are the *basin*
-//! behind that voxel, which is the basin's *entry*. In an airway, basins are small, or they are tubes; where the flood
-//! breaks through a wall, the basin is the lung, which is huge. So a basin above a size limit is a leak: its voxels are
-//! removed again, and a ball round its entry (the breach) stays closed permanently, while the flood rises elsewhere.
-//! The level is therefore local: thick-walled airways are filled up to the half-maximum of their wall, thin ones up to
-//! just below the level at which they would leak.
+//! The threshold rises one unit (HU) at a time. A voxel joins the lumen if its value is at most the threshold and it
+//! touches the lumen by a face; the voxels that become reachable through it at the same threshold join with it. These
+//! voxels are the *basin* behind that voxel, which is the basin's *entry*. In an airway, basins are small, or they are
+//! tubes; where the flood breaks through a wall, the basin is the lung, which is huge. So a basin above a size limit is
+//! a leak: its voxels are removed again, and a ball round its entry (the breach) stays closed permanently, while the
+//! flood rises elsewhere. The threshold is therefore local: thick-walled airways are filled up to the half-maximum of
+//! their wall, thin ones up to just below the threshold at which they would leak.
 //!
-//! Above the level of tracheal air and its noise, a second test examines the surroundings of a basin. The wall of an
-//! airway is clearly brighter than the level; the surroundings of a dark pocket of lung are not.
+//! Above the values of tracheal air with its noise, a second test examines the surroundings of a basin. The wall of an
+//! airway is clearly brighter than the threshold; the surroundings of a dark pocket of lung are not.
 
 use carina_grid::{Grid, VolumeView};
 

@@ -30,8 +30,8 @@ pub struct ThinLimits {
     /// Minimum dip (rise in value from the middle of a thin tube to its second darkest side) of a path's voxels, if the
     /// lung's threshold is lower.
     pub least_dip: f64,
-    /// Minimum mean dip along an airway (rise in value from its middle to its second darkest side); other airways are
-    /// dropped.
+    /// Minimum mean dip along an airway (rise in value from its middle to its second darkest side); airways with a
+    /// smaller mean dip are dropped.
     pub kept_dip: f64,
     /// Upper limit of the blur of the CT (sigma), mm.
     pub blur_mm: f64,
@@ -39,7 +39,7 @@ pub struct ThinLimits {
     pub min_length_mm: f64,
     /// Minimum length in mm of an airway that leaves from the side of another.
     ///
-    /// Shorter paths there are strips of lung enclosed by vessels.
+    /// Shorter paths from a side are strips of lung enclosed by vessels.
     pub min_side_mm: f64,
     /// Maximum share of the lung's voxels that the search may reach; above it the search is cancelled.
     pub most_reached: f64,
@@ -64,9 +64,10 @@ const FOLLOWED_SHARE: f64 = 0.985;
 const COVER_MM: f32 = 2.0;
 /// Distance in mm from a rejected path within which no other path may end.
 const COVER_REFUSED_MM: f32 = 1.0;
-/// Maximum gain of a path by one voxel, as a multiple of the dip threshold.
+/// Maximum gain of a path by one voxel (the amount by which the voxel speaks for an airway), as a multiple of the dip
+/// threshold.
 ///
-/// A path without a positive gain is not examined further.
+/// A path whose summed gains are never positive is not examined further.
 const MAX_GAIN: f64 = 1.5;
 /// Upper limit of the radius within which voxels beside a path are added to the lumen, mm.
 const MAX_RADIUS_MM: f64 = 1.0;

@@ -11,11 +11,12 @@ use rayon::prelude::*;
 use crate::find::extension_levels::LUMEN;
 use crate::find::tube_filter::{BLOCK, TubeFilter};
 
-/// Allowance in mm, the length without a dip that a path may still have, at the start of a path.
+/// Allowance of a path at its start: the length in mm that it may pass through voxels without a dip.
 const FIRST_MM: f32 = 1.0;
 /// Maximum allowance of a path, mm; each mm of path without a dip (dark middle) reduces the allowance by `PRICE` mm.
 const MAX_MM: f32 = 4.0;
-/// Change of a path's allowance per mm of path, divided by (the dip as a multiple of its threshold, minus 1).
+/// Factor of (dip / dip threshold - 1) in the change of a path's allowance per mm of path; a mm of path without a dip
+/// thus costs `PRICE` mm.
 const PRICE: f32 = 2.0;
 /// Maximum increase of a path's allowance per mm of path, in mm.
 const MAX_GAIN: f32 = 0.5;

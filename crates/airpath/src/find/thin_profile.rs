@@ -26,7 +26,8 @@ const NUM_CENTRED: usize = 2;
 const DISTANCES_MM: [f64; 8] = [0.6, 0.8, 1.0, 1.25, 1.6, 2.1, 2.6, 3.2];
 /// Number of values of `DISTANCES_MM`, from the first, at which the crest of a wall is searched.
 const NUM_CRESTS: usize = 6;
-/// Maximum gain of a path by one position, as a multiple of the dip threshold.
+/// Maximum gain of a path by one position (the amount by which the position speaks for an airway), as a multiple of the
+/// dip threshold.
 ///
 /// The limit prevents that one bright wall compensates for a long part without wall.
 const MAX_GAIN: f64 = 3.0;
@@ -37,17 +38,20 @@ const ACCEPTED_MEAN: f64 = 1.2;
 const ACCEPTED_SHARE: f64 = 0.75;
 /// Maximum distance from the middle of a thin airway to the crest of its wall, mm.
 const FARTHEST_CREST_MM: f64 = 1.3;
-/// Minimum mean number of the 8 sides of a thin airway with lung behind the wall; the others may have an artery.
+/// Minimum mean number of the 8 sides of a thin airway behind whose wall there is lung; behind the others there may be
+/// an artery.
 const MIN_THIN: f64 = 4.5;
 /// Maximum standard deviation in mm of the radius along the path of a thin airway.
 const STEADY_MM: f64 = 0.06;
 
 /// Number of positions at the start of a path whose brightness is compared with the median of the path.
 const NUM_FIRST: usize = 4;
-/// Maximum excess of the first `NUM_FIRST` positions over the median of the path, as a fraction of the wall's rise.
+/// Maximum difference between the brightest of the first `NUM_FIRST` positions and the median of the path, as a
+/// fraction of the median rise to the wall.
 const OPENNESS: f64 = 0.65;
 
-/// Minimum rise of the second darkest side of a whole path, as a fraction of the rise of the median side.
+/// Minimum rise of the second darkest side, as a fraction of the rise of the median side; the median over a whole path
+/// counts.
 const ROUND_WAY: f64 = 0.4;
 /// Radius in mm above which a CT does not show reliably on how many sides a wall is.
 const WIDE_MM: f64 = 1.3;
@@ -184,7 +188,7 @@ impl Profile {
 
     /// Return whether the lumen of the path opens into the airway from which the path branches.
     ///
-    /// A path that begins in the wall of that airway leads to lung beside it.
+    /// A path whose first positions are much brighter begins in the wall of that airway and leads to lung beside it.
     fn is_open(&self, num: usize) -> bool {
         let places = &self.places[..num];
         let first = &places[..NUM_FIRST.min(num)];

@@ -67,7 +67,8 @@ struct SplitRule {
 const MIN_LENGTH_MM: f64 = 18.0;
 /// Minimum length in mm, inside the volume, of a trachea that begins outside the volume.
 const MIN_CUT_OFF_MM: f64 = 8.0;
-/// Minimum length of a trachea that lacks one main bronchus or one lung, mm; no other airway is wide for this length.
+/// Minimum length of a trachea that lacks one main bronchus or one lung, mm; no other airway is as wide over this
+/// length.
 const STRICT_LENGTH_MM: f64 = 40.0;
 /// Minimum length of a trachea that lacks one main bronchus and one lung, or that has other tubes beside it, mm.
 const BEYOND_DOUBT_MM: f64 = 60.0;

@@ -44,9 +44,10 @@ const HALF_95: f64 = 1.96;
 const UNKNOWN_BLUR: f64 = 0.2;
 /// Ratio of the wall thickness's error to the radius's error, both due to the blur model.
 const WALL_BY_MODEL: f64 = 2.0;
-/// Weight of a ray's edge above which it counts fully for the smallest and largest widths of a section.
+/// Weight of a ray's edge from which the edge counts fully for the smallest and the largest width of a section.
 const SHAPE_WEIGHT: f64 = 0.5;
-/// Error of the wall thickness due to the model of a flat wall of constant thickness, in blurs.
+/// Error of the measured wall thickness because the wall is modelled as flat and of constant thickness, in standard
+/// deviations of the blur.
 const WALL_BY_BLUR: f64 = 0.4;
 
 /// Plane of a cross-section: a point in the lumen and the direction of the airway.

@@ -41,9 +41,11 @@ const STEEP_SHARE: f64 = 0.3;
 const WIDENED_ACROSS: f64 = 1.36;
 /// Minimum accepted ratio of the blur across the slices to the blur within them.
 const MIN_ACROSS: f64 = 0.8;
-/// Wall thickness, in blurs, above which the wall's half-maximum edges contribute to the measured thickness.
+/// Wall thickness, as a multiple of the blur, above which the wall's half-maximum edges contribute to the measured
+/// thickness.
 const EDGES_TELL_FROM: f64 = 2.2;
-/// Further wall thickness, in blurs, after which the half-maximum edges alone determine the measured thickness.
+/// Increase of the wall thickness above the previous limit, as a multiple of the blur, over which the contribution of
+/// the half-maximum edges grows to all of the measured thickness.
 const EDGES_TELL_OVER: f64 = 1.2;
 /// Weight of a ray below which the ray does not count for the thickness of the wall.
 const CERTAIN: f64 = 0.6;

@@ -1,9 +1,9 @@
 //! Width of a branch at each point of its centreline: the radius of the circle with the area of the lumen's
 //! cross-section.
 //!
-//! The distance to the wall is smaller than this radius, because it is the minimum over all directions; the more wall
-//! is near, the more noise lowers it. The *own part* of a branch is where the branch is a separate tube. Near a
-//! fork a section cuts more than one tube. The width at such a point is that of the nearest section in the own
+//! The distance to the wall is smaller than this radius, because it is the minimum over all directions, and noise of
+//! the wall lowers the minimum further. The *own part* of a branch is the part where the branch is a separate tube.
+//! Near a fork a section cuts more than one tube. The width at such a point is that of the nearest section in the own
 //! part, or of the section at the point itself if that is narrower (a stenosis at the branch's ostium).
 
 use carina_grid::{Grid, unit};

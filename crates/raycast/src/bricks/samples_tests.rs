@@ -75,7 +75,7 @@ impl Case {
 
     /// Check that pictures of all instruction sets, cast twice from the same bricks, equal the scalar caster's picture.
     ///
-    /// Return the bricks, which hold at most `capacity` bricks.
+    /// Return the cache of bricks, which stores at most `capacity` bricks.
     fn check(&self, capacity: usize) -> Arc<SampleBricks> {
         let (truth, counts) = cast_rows_scalar(
             &self.frame(),

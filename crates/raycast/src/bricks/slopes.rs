@@ -73,7 +73,7 @@ impl Tap {
 }
 
 impl Taps {
-    /// Return the number of voxels beyond each side of a brick that its slopes need.
+    /// Return the number of voxels beyond each side of a brick whose values the slopes in the brick need.
     fn halo(&self) -> usize {
         self.far.whole + 1
     }

@@ -1,6 +1,7 @@
 //! Wet surface of the wall: droplets in the film of mucus, and pools and bubbles of secretions.
 //!
-//! All of this is decoration and is fixed to the tissue like the texture.
+//! Droplets, pools and bubbles are decoration (drawn, not measured by the CT), and are fixed to the tissue like the
+//! texture.
 
 use std::array::from_fn;
 
@@ -22,9 +23,10 @@ shared_constants! {
     const DROP_LOG2: u32 = 5;
     /// Strength of the highlight of a droplet, as a fraction of the light that a guide gives at normal incidence.
     const DROP_GLINT: f32 = 1.2;
-    /// Amount by which a film of thickness 1 lowers the height from which a bump of the relief carries a droplet.
+    /// Amount by which a film of thickness 1 lowers the height above which a bump of the mucosa's relief is drawn as a
+    /// droplet.
     ///
-    /// Droplets thus form groups with dry wall between them.
+    /// Droplets therefore form groups where the film is thick, with dry wall between the groups.
     const GATHER: f32 = 1.0;
     /// Strength of the highlight of a bubble, as a fraction of the light that a guide gives at normal incidence.
     const BUBBLE_GLINT: f32 = 2.4;

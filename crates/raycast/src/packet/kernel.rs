@@ -1,9 +1,9 @@
 //! Packet caster in two stages, the search for visible samples and their shading; rays move between them, so that lanes
 //! are rarely empty.
 //!
-//! In the *search* stage, rays leap and take samples that are certainly clear. In the *shade* stage, rays take samples
-//! that may be visible, one after the other, until a sample is clear or the ray ends. A lane whose ray has left the
-//! stage takes another ray.
+//! In the *search* stage, rays leap (skip uniform regions) and take samples that are certainly transparent. In the
+//! *shade* stage, rays take samples that may be visible, one after the other, until a sample is transparent or the ray
+//! ends. A lane whose ray has left the stage takes another ray.
 //!
 //! The stages may have different numbers of lanes. A search waits for memory: each look-up and each sample starts where
 //! the previous one ended, so additional parallel rays cost little. Shading is limited by computation, and more lanes
@@ -280,7 +280,7 @@ impl Scene<'_> {
         let mut active = packet.occupied;
         // Number of the next sample in the active lanes; the counter advances in the other lanes, too.
         let mut k = packet.k;
-        // Mask of the lanes whose last sample had no opacity.
+        // Mask of the lanes whose last sample was transparent.
         let mut clear = 0;
         loop {
             if S::N - active.count_ones() as usize >= S::N / 4 {

@@ -12,7 +12,7 @@ shared_constants! {
     const PATCHES: f32 = 2.3;
     /// Display colour of mist that is lit by light from the wall.
     pub(super) const MIST_RGB: [f32; 3] = [0.66, 0.56, 0.53];
-    /// Amplitude and mean of the opacity of the mist.
+    /// Amplitude and mean of the opacity of the mist across its patches.
     const MIST_COVER: [f32; 2] = [0.22, 0.62];
     /// Seed of the noise that places the patches of mist.
     const MIST_SEED: i32 = 71;

@@ -10,8 +10,8 @@ use crate::{composite::NO_HIT, leap::Start};
 pub(super) const BATCH: usize = 64;
 /// Capacity of a pool in rays.
 ///
-/// A batch is set up only if no ray waits to be searched; then fewer than 96 + 32 rays wait for shading and 64 are in
-/// lanes, so there are never more than 288. A margin of 32 rays allows stores of whole registers.
+/// Rays are set up in a batch only if no ray waits to be searched; then fewer than 96 + 32 rays wait for shading and 64
+/// are in lanes, so there are never more than 288. A margin of 32 rays allows stores of whole registers.
 const CAPACITY: usize = 384;
 
 /// State of rays, one in each lane of an instruction set.

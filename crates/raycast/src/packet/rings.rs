@@ -1,7 +1,8 @@
 //! Drawn features that depend on anatomy: cartilage rings, the membranous wall, colour by region, ridges at forks.
 //!
-//! The decoration changes only the normal used for shading, and the colour. Every effect is a strength times a change,
-//! so a pixel with strength 0 keeps its bits, whichever pixels share its register.
+//! These features are decoration: they change only the colour of a wall and the normal used for its shading. Each
+//! effect is a strength times a change, so a pixel with strength 0 has the same bits, whichever pixels share its
+//! register.
 
 use super::{
     lanes::Lanes,
@@ -43,22 +44,27 @@ shared_constants! {
         [-0.15, -0.09, 0.17],
         [-0.11, -0.06, 0.13],
     ];
-    /// Slope and offset of the opacity of all drawn features, as a function of the distance from the axis in radii.
+    /// Slope and offset of the opacity of all features drawn here, as a function of the wall's distance from the
+    /// airway's axis in radii.
     const NEAR_AXIS: [f32; 2] = [-4.0, 6.2];
-    /// Slope and offset of the opacity of rings, as a function of the distance from the axis in radii.
+    /// Slope and offset of the opacity of rings, as a function of the wall's distance from the airway's axis in radii.
     const ON_TUBE: [f32; 2] = [6.0, -3.9];
-    /// Slope and offset of the opacity of the membranous wall, as a function of the distance from the axis in radii.
+    /// Slope and offset of the opacity of the membranous wall, as a function of the wall's distance from the airway's
+    /// axis in radii.
     const ON_BACK: [f32; 2] = [6.0, -2.4];
     /// Decrease of the opacity of rings per unit of the strength of a fork.
     const AT_FORK: f32 = 1.3;
-    /// Lower bound, in radii, of the distance from the axis by which the position on the back is divided.
+    /// Lower bound, in radii, of the distance from the axis, which is a divisor in the computation of the position on
+    /// the airway's back.
     const LEAST_OFF: f32 = 0.05;
     /// Maximum displacement of the edges of the membranous wall by the mottling noise, in cosines of the angle from the
     /// back.
     const RAGGED: f32 = 0.06;
-    /// Lower bound of the cosine between wall and viewing direction by which the width of a pixel is divided.
+    /// Lower bound of the cosine between wall normal and viewing direction, which is a divisor in the computation of a
+    /// pixel's width.
     const LEAST_FACING: f32 = 0.08;
-    /// Slope and offset of the opacity of rings, as a function of the width of a pixel in distances between rings.
+    /// Slope and offset of the opacity of rings, as a function of a pixel's width divided by the distance between
+    /// rings.
     const RINGS_SEEN: [f32; 2] = [-4.5, 2.0];
     /// Slope and offset of the opacity of cartilage plates round the circumference, as a function of the mottling
     /// noise.

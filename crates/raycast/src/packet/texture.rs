@@ -37,7 +37,7 @@ shared_constants! {
     const SKIN_TINT: [[f32; 2]; 3] = [[0.03, -0.08], [-0.11, -0.40], [-0.09, -0.30]];
     /// Thickness of the film of mucus: change per unit of fine relief, change per unit of mottling, and mean.
     const FILM_FROM: [f32; 3] = [1.2, 0.35, 0.75];
-    /// Slope and offset of the opacity of noise, as a function of the size of a pixel in noise cells.
+    /// Slope and offset of the opacity of a noise, as a function of the width of a pixel in cells of the noise.
     const SHARP: [f32; 2] = [-2.0, 2.0];
     /// Lower bound of a noise's gradient per mm in the computation of a vessel's distance, to avoid a division by 0.
     const LEAST_STEEP: f32 = 1e-3;

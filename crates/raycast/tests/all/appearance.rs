@@ -221,7 +221,8 @@ fn the_texture_of_a_wall_stays_on_it_when_the_scope_moves_and_turns() {
             correlation(strengths, [0.0; 3]),
             correlation(strengths, [3.0, 0.0, 0.0]),
         );
-        // A displacement of half a pixel, and finer detail from a nearer camera, leave at least this correlation.
+        // Half a pixel of displacement, and the finer detail seen from the nearer camera, leave at least this
+        // correlation between the two pictures.
         assert!(there > 0.7, "{strengths:?}: {there}");
         // A texture displaced by 3 mm would correlate much less.
         assert!(beside.abs() < 0.4, "{strengths:?}: {beside}");

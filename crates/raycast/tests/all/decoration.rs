@@ -1,6 +1,7 @@
 //! Tests of the decoration that depends on anatomy.
 //!
-//! The result is equal, bit for bit, from every caster and for any pixels in one register; no wall moves.
+//! The pictures are equal, bit for bit, from every caster and for any pixels in one register, and the decoration moves
+//! no wall.
 
 use crate::scene::{Scene, any_scene, options};
 use carina_grid::{Affine, Camera, Grid, VolumeView};

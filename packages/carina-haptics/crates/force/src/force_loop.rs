@@ -22,7 +22,8 @@ use crate::tick_statistics::{LoopCounts, LoopFigures, TickTimes};
 
 /// Length of a tick, ns.
 const TICK_NS: u64 = 1_000_000;
-/// Maximum number of packets that one tick reads, so that a bridge that floods the port does not delay the loop.
+/// Maximum number of packets that one tick reads, so that a bridge (program that connects a device) that floods the port
+/// does not delay the loop.
 const MAX_PACKETS: usize = 16;
 /// Number of ticks between updates of the statistics, whose histograms take some microseconds to read.
 const UPDATE_TICKS: u64 = 50;

@@ -128,7 +128,7 @@ pub struct HandForce {
     pub torque_n_mm: Point,
     /// Whether the tip touches the wall.
     pub touches: bool,
-    /// Whether the force is smaller than that of the wall because of the force limit.
+    /// Whether the force limit makes the force smaller than the force with which the wall would push.
     pub limited: bool,
     /// Whether the force is 0 because no sample arrived within the time of the watchdog.
     pub is_silent: bool,
@@ -190,7 +190,7 @@ impl ForceModel {
             self.proxy = None;
             wanted.is_silent = true;
         }
-        // A late tick may not change the force by more than a tick in time, because the user may have released the
+        // A late tick may not change the force by more than a punctual tick, because the user may have released the
         // device.
         let dt = dt_ms.clamp(0.0, 1.0);
         let force_n = towards(self.last.force_n, wanted.force_n, SLEW_N_PER_MS * dt);
@@ -335,8 +335,9 @@ impl ForceModel {
     }
 }
 
-/// Return the position with at least `clearance_mm` to the wall that steps away from the wall reach; `None` if they
-/// fail.
+/// Return a position at least `clearance_mm` from the wall, found by steps away from the wall that start at `from_lps`.
+///
+/// The result is `None` if 64 steps reach no such position.
 fn free_position(field: &WallField, from_lps: Point, clearance_mm: f64) -> Option<Point> {
     let mut p = from_lps;
     for _ in 0..64 {

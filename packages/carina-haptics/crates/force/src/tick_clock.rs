@@ -4,7 +4,7 @@ pub(crate) use system::{cpu_ns_of_this_thread, now_ns, request_priority, sleep_u
 
 #[cfg(target_os = "linux")]
 mod system {
-    /// Request exact wake-ups and real-time priority for this thread; return whether the user may have the priority.
+    /// Request exact wake-ups and real-time priority for this thread; return whether the system has granted the priority.
     ///
     /// Without the request the system groups wake-ups within 50 us.
     pub(crate) fn request_priority() -> bool {
