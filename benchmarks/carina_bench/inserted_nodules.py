@@ -278,7 +278,7 @@ def real_sample(
 
 
 def _fitted(features: Floats, labels: Floats) -> Callable[[Floats], Floats]:
-    """Return the function from features to scores of a ridge-penalized logistic regression (Newton's method)."""
+    """Return the function from features to scores of a ridge-penalised logistic regression (Newton's method)."""
     mean, spread = features.mean(axis=0), features.std(axis=0) + 1e-9
     x = np.column_stack([np.ones(len(features)), (features - mean) / spread])
     weights = np.zeros(x.shape[1])
