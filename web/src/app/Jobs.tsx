@@ -63,26 +63,29 @@ export function Jobs() {
   const isOpening = useApp((state) => state.opening !== null);
   if (jobs.length === 0 && upload === null && !isOpening) return null;
   return (
-    <div className="jobs" role="status">
-      {upload === null ? null : (
-        <ThinProgress
-          title="Uploading the files"
-          what={plural(upload.numFiles, "file")}
-          fraction={upload.totalBytes > 0 ? upload.sentBytes / upload.totalBytes : null}
-          secondsLeft={null}
-          onCancel={station.transfers.cancelUpload}
-        />
-      )}
-      {jobs.map((job) => (
-        <ThinProgress
-          key={job.job_id}
-          title={job.title}
-          what={job.what}
-          fraction={job.fraction}
-          secondsLeft={job.seconds_left}
-          onCancel={() => station.send({ type: "cancel", job_id: job.job_id })}
-        />
-      ))}
+    <div className="jobs">
+      {/* Only the progress is read aloud when it changes, not the list of series below it. */}
+      <div role="status">
+        {upload === null ? null : (
+          <ThinProgress
+            title="Uploading the files"
+            what={plural(upload.numFiles, "file")}
+            fraction={upload.totalBytes > 0 ? upload.sentBytes / upload.totalBytes : null}
+            secondsLeft={null}
+            onCancel={station.transfers.cancelUpload}
+          />
+        )}
+        {jobs.map((job) => (
+          <ThinProgress
+            key={job.job_id}
+            title={job.title}
+            what={job.what}
+            fraction={job.fraction}
+            secondsLeft={job.seconds_left}
+            onCancel={() => station.send({ type: "cancel", job_id: job.job_id })}
+          />
+        ))}
+      </div>
       <OpeningPreview />
     </div>
   );

@@ -10,10 +10,11 @@ export function OpeningPreview() {
   const opening = useApp((state) => state.opening);
   if (opening === null) return null;
   const { message, pictures } = opening;
+  const isListed = listsSeries(opening);
   return (
     <>
-      {message.slice === null ? null : <PreviewSlice slice={message.slice} />}
-      {!listsSeries(opening) ? null : (
+      {message.slice === null ? null : <PreviewSlice slice={message.slice} isSmall={isListed} />}
+      {!isListed ? null : (
         <>
           <p className="quiet">
             The folder contains {message.series.length} series. Choose another one to open it instead.
@@ -35,11 +36,11 @@ export function OpeningPreview() {
   );
 }
 
-function PreviewSlice({ slice }: { slice: OpeningSlice }) {
+function PreviewSlice({ slice, isSmall }: { slice: OpeningSlice; isSmall: boolean }) {
   const text = sliceText(slice);
   return (
     <figure className="opening-slice" data-testid="opening-slice">
-      <div className="opening-picture">
+      <div className={isSmall ? "opening-picture small" : "opening-picture"}>
         <img
           src={`data:image/png;base64,${slice.picture}`}
           alt={`Preview of the CT: ${text}`}
