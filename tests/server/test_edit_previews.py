@@ -33,7 +33,7 @@ def pointing():
     picture = SimpleNamespace(hit=None)
     shown = SimpleNamespace(
         wall_at=lambda _column, _row: picture.hit,
-        view=SimpleNamespace(pose=SimpleNamespace(position_lps=np.array(case.tips[0]) + np.array([0.0, 0.0, 8.0]))),
+        lens_lps=tuple(float(v) for v in np.array(case.tips[0]) + np.array([0.0, 0.0, 8.0])),
     )
     answers = queue.Queue()
     made = Pointing(fixture.session, {5: shown}.get, answers.put)

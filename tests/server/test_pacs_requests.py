@@ -324,6 +324,7 @@ def test_search_of_a_window_that_has_left_is_stopped(live, monkeypatch):
     with live.window() as window, live.window() as other:
         window.send(wire.SavePacs(fields(), None))
         answer(window, wire.PacsConnectionsMessage)
+        until_idle(live)  # the job that saves the connection ends after its answer
         other.send(wire.SearchPacs("hospital", "Muster", "", ""))
         assert begun.wait(WAIT_S)
         other.socket.close()

@@ -33,10 +33,7 @@ def pointing():
         picture.picked.append((column, row))
         return picture.hit
 
-    shown = SimpleNamespace(
-        wall_at=wall_at,
-        view=SimpleNamespace(pose=SimpleNamespace(position_lps=np.array(small_lps((16.0, 14.0, 34.0))))),
-    )
+    shown = SimpleNamespace(wall_at=wall_at, lens_lps=small_lps((16.0, 14.0, 34.0)))
     answers = queue.Queue()
     made = Pointing(fixture.session, {5: shown}.get, answers.put)
     made.start()

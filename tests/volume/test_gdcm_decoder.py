@@ -12,7 +12,7 @@ from dicom_writer import chest, packed, repack, series
 
 import carina.volume.dicom_pixels as pixels
 from carina.errors import VolumeImportError
-from carina.volume import open_volume
+from carina.volume import dicom_slice_batches, open_volume
 from carina.volume.dicom_headers import read_image_headers
 
 BITS_12 = {"BitsStored": 12, "HighBit": 11}
@@ -48,7 +48,8 @@ def test_jpeg_2000_of_any_sign_and_depth_has_the_numbers_of_another_library(tmp_
 
 
 def test_compressed_series_without_a_decoder_is_refused_with_a_command(tmp_path, monkeypatch):
-    series(tmp_path, lambda dataset, index: packed(dataset, tmp_path, "JPEG"), hu=chest()[:3])
+    series(tmp_path, lambda dataset, index: packed(dataset, tmp_path, "JPEG2000"), hu=chest()[:3])
+    monkeypatch.setattr(dicom_slice_batches, "has_second_decoder", lambda: False)
     monkeypatch.setitem(sys.modules, "gdcm", None)
     with pytest.raises(VolumeImportError, match=r"decoder \(GDCM\) is missing; run: .*python-gdcm"):
         open_volume(tmp_path)
