@@ -2,7 +2,8 @@
 
 Each phantom is degraded in one way. The assessment must name this degradation and no other, and the trusted generation
 must differ from the true one by at most one. The true one is the last generation up to which the search finds at least
-:data:`FOUND` of the true length of every generation.
+:data:`FOUND` of the true length of every generation. The cases of :data:`PATIENTS` judge CTs that are painted from the
+masks of patients in the same way.
 """
 
 from __future__ import annotations
@@ -13,11 +14,15 @@ from typing import Any
 
 import numpy as np
 
+from carina.config import load_settings
 from carina.errors import CarinaError
 from carina.phantom import Phantom, generate_phantom
 from carina.track import assess_ct, find_airways
 from carina.volume import Finding, Volume
+from carina_bench.paint import PaintOptions, paint
+from carina_bench.paint_scene import mask_folders, masks_of, scene_of_masks
 from carina_bench.track_disturbed_cases import Step, noisy, stepped, stepped_points, with_clips
+from carina_bench.track_painted import PATIENTS, truth_of_painted
 from carina_bench.track_quality import is_near
 from carina_bench.track_truth import Truth, truth_of_phantom
 
@@ -153,6 +158,29 @@ def true_generation(volume: Volume, truth: Truth, found_zyx: np.ndarray[Any, Any
     return trusted, shares
 
 
+PAINTED: dict[str, PaintOptions] = {
+    "none": PaintOptions(kernel="medium", noise_hu=25.0),
+    "noise": PaintOptions(kernel="medium", noise_hu=85.0),
+    "slices": PaintOptions(kernel="medium", noise_hu=25.0, slice_mm=3.0),
+    "kernel": PaintOptions(kernel="sharp", noise_hu=25.0),
+}
+"""Settings of the scanner for the degradations of painted patients."""
+
+
+def _painted(patients: Sequence[str], names: Sequence[str], say: Say) -> Iterator[Row]:
+    """Yield codes, trusted generations and measured properties of each painted patient."""
+    data = load_settings().data_dir
+    folders = {} if data is None else mask_folders(data)
+    for patient in patients:
+        if patient not in folders:
+            say(f"no masks of {patient}: nothing is painted")
+            continue
+        scene = scene_of_masks(masks_of(folders[patient]), PAINTED["none"])
+        for name in names:
+            made = paint(scene, PAINTED[name])
+            yield _judged(f"{patient} {name}", name, made.volume, truth_of_painted(made), say)
+
+
 def named_codes(findings: Sequence[Finding]) -> list[str]:
     """Return the degradations that findings report; those on thick slices count as one, cut lungs name the face."""
     codes = []
@@ -177,35 +205,57 @@ def cases(seeds: Sequence[int], names: Sequence[str], say: Say) -> Iterator[Row]
             if name == "tube":
                 made = generate_phantom(**OPTIONS, seed=seed, tube="endotracheal")
             volume, truth = degraded(name, made, seed)
-            try:
-                airways = find_airways(volume, progress=False)
-                found = airways.lumen_zyx != 0
-            except CarinaError as error:
-                say(f"{seed} {name}: {error}")
-                airways, found = None, np.zeros(volume.shape_zyx, np.bool_)
-            generation, shares = true_generation(volume, truth, found)
-            judged = assess_ct(volume, airways)
-            row = {
-                "case": name,
-                "seed": seed,
-                "codes": named_codes(judged.findings),
-                "trusted": judged.trusted_generation,
-                "true": generation,
-                "shares": [round(share, 2) for share in shares],
-                "pixel_mm": sorted(volume.spacing_mm)[1],
-                "slice_mm": max(volume.spacing_mm),
-                **{key: value for key, value in judged.to_json().items() if key.endswith(("_hu", "_mm", "_litres"))},
-            }
-            say(f"{row}")
-            yield row
+            yield _judged(f"{seed} {name}", name, volume, truth, say)
+
+
+def _judged(title: str, name: str, volume: Volume, truth: Truth, say: Say) -> Row:
+    """Return codes, trusted generations and measured properties of one CT."""
+    try:
+        airways = find_airways(volume, progress=False)
+        found = airways.lumen_zyx != 0
+    except CarinaError as error:
+        say(f"{title}: {error}")
+        airways, found = None, np.zeros(volume.shape_zyx, np.bool_)
+    generation, shares = true_generation(volume, truth, found)
+    judged = assess_ct(volume, airways)
+    row = {
+        "case": name,
+        "ct": title,
+        "codes": named_codes(judged.findings),
+        "trusted": judged.trusted_generation,
+        "true": generation,
+        "shares": [round(share, 2) for share in shares],
+        "pixel_mm": sorted(volume.spacing_mm)[1],
+        "slice_mm": max(volume.spacing_mm),
+        **{key: value for key, value in judged.to_json().items() if key.endswith(("_hu", "_mm", "_litres"))},
+    }
+    say(f"{row}")
+    return row
 
 
 def run(quick: bool, say: Say, names: Sequence[str] = ()) -> list[Row]:
-    """Return a row for each degradation, and one for the trusted generation of all judged phantoms."""
-    seeds = SEEDS["held"][:1] if quick else SEEDS["held"]
-    found = list(cases(seeds, names or tuple(DEGRADATIONS), say))
+    """Return a row for each degradation, and one for the trusted generation of all judged CTs.
+
+    Parameters
+    ----------
+    quick
+        One phantom, or two degradations of each painted patient.
+    say
+        Function that receives a line about each CT.
+    names
+        Degradations; a name of :data:`PATIENTS` judges this painted patient instead of the phantoms.
+    """
+    patients = [name for name in names if name in PATIENTS]
+    kinds = [name for name in names if name not in PATIENTS] or list(PAINTED if patients else DEGRADATIONS)
+    if patients:
+        painted = [name for name in kinds if name in PAINTED]
+        found = list(_painted(patients, painted[:2] if quick else painted, say))
+    else:
+        found = list(cases(SEEDS["held"][:1] if quick else SEEDS["held"], kinds, say))
+    if not found:
+        return []
     rows: list[Row] = []
-    for name in names or tuple(DEGRADATIONS):
+    for name in dict.fromkeys(row["case"] for row in found):
         own = [row for row in found if row["case"] == name]
         expected = [] if name == "none" else [name]
         others = sorted({code for row in own for code in row["codes"]} - set(expected))
