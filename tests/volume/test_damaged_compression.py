@@ -11,6 +11,7 @@ import pytest
 from dicom_writer import chest, packed, repack, series
 from pydicom import dcmread
 
+from carina.errors import VolumeImportError
 from carina.volume import jpeg2000_check, open_volume
 from carina.volume.dicom_headers import read_image_headers
 from carina.volume.dicom_pixel_bytes import read_stream_bytes
@@ -20,6 +21,8 @@ from carina.volume.jpeg2000_check import has_second_decoder, intact_j2k_words, j
 
 needs_av = pytest.mark.skipif(not has_second_decoder(), reason="PyAV (extra video) is not installed")
 NUM = 6
+SIZE = b"\xff\x51"
+"""Marker of the size of the picture in a JPEG 2000 stream."""
 STREAMS = {
     (9, False): (
         "/0//UQApAAAAAAAwAAAAKAAAAAAAAAAAAAAAMAAAACgAAAAAAAAAAAABCAEB/1IADAAAAAEABQQEAAH/XAATQEhQUFhQUFhQ"
@@ -70,6 +73,12 @@ def _frame(path: Path) -> bytes:
     frame = read_stream_bytes(header)
     assert frame is not None
     return frame
+
+
+def _width(frame: bytes) -> int:
+    """Return the width that the main header of a JPEG 2000 stream states."""
+    at = frame.index(SIZE) + 6
+    return int.from_bytes(frame[at : at + 4], "big")
 
 
 def _damaged(frame: bytes, rng: np.random.Generator, kind: str) -> bytes:
@@ -132,6 +141,24 @@ def test_second_decoder_returns_the_words_of_streams_with_fewer_bits(bits, signe
     # A stream that states the irreversible transform is left to the reference.
     at = frame.index(b"\xff\x52") + 13
     assert intact_j2k_words(frame[:at] + b"\0" + frame[at + 1 :], stream) is None
+
+
+@needs_av
+def test_stream_that_claims_another_size_than_the_tags_is_refused_without_decoding(tmp_path, monkeypatch):
+    def edit(dataset, index):
+        packed(dataset, tmp_path, "JPEG2000")
+        if index == 3:
+            # Width and height of the picture in the main header (ITU-T T.800 A.5.1): 30,000 x 30,000 pixels.
+            large = (30_000).to_bytes(4, "big") * 2
+            repack(dataset, lambda frame: frame[: frame.index(SIZE) + 6] + large + frame[frame.index(SIZE) + 14 :])
+
+    decoded = []
+    decode = jpeg2000_check._decoded
+    monkeypatch.setattr(jpeg2000_check, "_decoded", lambda frame: decoded.append(_width(frame)) or decode(frame))
+    with pytest.raises(VolumeImportError, match="IM003"):
+        open_volume(series(tmp_path, edit, hu=_slices()))
+    assert decoded
+    assert max(decoded) < 1000
 
 
 @needs_av

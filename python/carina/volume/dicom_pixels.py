@@ -117,7 +117,7 @@ def _byte_order_doubts(
 
 def _check_coded_size(header: SliceHeader, stream: Stream | None) -> None:
     """Raise an error if the size of a compressed stream differs from that of the tags."""
-    if stream is not None and (stream.rows, stream.columns, stream.components) == (header.rows, header.columns, 1):
+    if stream is not None and stream.has_size_of(header.rows, header.columns):
         return
     found = (
         "no readable size"

@@ -145,10 +145,13 @@ def _read_jpeg_2000(stack: SliceStack, numbers: Sequence[int], values: NDArray[n
         except (ValueError, OSError):
             return False
         stream = None if frame is None else read_stream(frame)
-        if frame is None or stream is None or (stream.components, stream.signed) != (1, header.signed):
+        if frame is None or stream is None or stream.signed != header.signed:
+            return False
+        # Compared before the decoding, because a stream may claim a picture that does not fit into the memory.
+        if not stream.has_size_of(header.rows, header.columns):
             return False
         words = intact_j2k_words(frame, stream)
-        if words is None or words.shape != (header.rows, header.columns):
+        if words is None:
             return False
         return _core.place_dicom_words(
             words,

@@ -41,6 +41,10 @@ class Stream:
     problem: str | None
     """Description of a truncated or invalid part of the stream; None if the stream is valid."""
 
+    def has_size_of(self, rows: int, columns: int) -> bool:
+        """Return whether the stream contains one grey picture with these rows and columns."""
+        return (self.rows, self.columns, self.components) == (rows, columns, 1)
+
 
 def fragments(stored: bytes) -> bytes | None:
     """Return the joined fragments of an encapsulated single frame; None if they are not a valid sequence of items.

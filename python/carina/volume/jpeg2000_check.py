@@ -1,4 +1,4 @@
-"""A second check of JPEG 2000 slices, by FFmpeg's decoder (PyAV, extra ``video``).
+"""Check and decoding of JPEG 2000 slices by FFmpeg (PyAV, extra ``video``), the second decoder beside GDCM.
 
 JPEG 2000 has no checksum. A changed byte moves the arithmetic decoder of its code-block onto wrong bits, and OpenJPEG,
 which GDCM and Pillow share, returns the wrong pixels without a message. FFmpeg's own decoder reports a code-block whose
@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 
 from carina.volume.dicom_headers import SliceHeader
 from carina.volume.dicom_pixel_bytes import read_stream_bytes
-from carina.volume.dicom_streams import Stream
+from carina.volume.dicom_streams import Stream, read_stream
 from carina.volume.model import Note
 
 _JPEG_2000 = ("1.2.840.10008.1.2.4.90", "1.2.840.10008.1.2.4.91")
@@ -193,8 +193,11 @@ def _problem(header: SliceHeader) -> str | None:
     try:
         frame = read_stream_bytes(header)
     except (ValueError, OSError):
+        return None
+    stream = None if frame is None else read_stream(frame)
+    if frame is None or stream is None or not stream.has_size_of(header.rows, header.columns):
         return None  # the first decoder refuses the slice
-    return None if frame is None else j2k_problem(frame)
+    return j2k_problem(frame)
 
 
 @contextmanager
