@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import asyncio
+import errno
+import importlib
 import json
 import signal
 import socket
@@ -16,7 +18,7 @@ from websockets.sync.client import connect
 from carina.errors import CarinaError, UsageError, VolumeImportError
 from carina.render import Renderer, transfer_preset
 from carina.server import serve
-from carina.server.serve import bind
+from carina.server.serve import _load_dicom_readers, bind
 from carina.server.wire import messages as wire
 from small_case import small_volume
 from user_folders import environment_in, user_folders
@@ -40,6 +42,21 @@ def test_unreadable_path_is_refused_before_a_server_starts(tmp_path):
     with pytest.raises(VolumeImportError):
         serve(str(tmp_path / "nothing-here"), open_browser=False, on_ready=lambda *arguments: ready.append(arguments))
     assert ready == []
+
+
+def test_modules_that_cannot_be_loaded_in_the_background_cause_no_traceback(monkeypatch):
+    """Check the failure of a process without a free file descriptor: the modules are loaded again when needed."""
+
+    class NoDescriptor:
+        def find_spec(self, name, path=None, target=None):
+            if name == "carina.volume.dicom":
+                raise OSError(errno.EMFILE, "Too many open files", name)
+
+    monkeypatch.delitem(sys.modules, "carina.volume.dicom", raising=False)
+    monkeypatch.setattr(sys, "meta_path", [NoDescriptor(), *sys.meta_path])
+    with pytest.raises(OSError, match="Too many"):
+        importlib.import_module("carina.volume.dicom")
+    _load_dicom_readers()
 
 
 def test_websockets_send_small_messages_without_delay():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import signal
 import socket
 import sys
@@ -275,8 +276,10 @@ def serve(
     store.remove_titles()
 
     def sweep() -> None:
-        cache.sweep()
-        records.empty_forgotten(FORGOTTEN_FOR_S)
+        # The next start sweeps again.
+        with contextlib.suppress(OSError):
+            cache.sweep()
+            records.empty_forgotten(FORGOTTEN_FOR_S)
 
     course = Course(settings.learners_dir)
     # The files of many learners are read in seconds, and are needed with the first case.
@@ -365,9 +368,14 @@ def serve(
 
 
 def _load_dicom_readers() -> None:
-    """Load the modules that open a DICOM series."""
-    import carina.volume.dicom
-    import carina.volume.series_pictures  # noqa: F401
+    """Load the modules that open a DICOM series.
+
+    A failure is ignored, for example when the process has no free file descriptor: the modules are loaded again when a
+    series is opened, and an error is then shown to the user.
+    """
+    with contextlib.suppress(OSError, ImportError):
+        import carina.volume.dicom
+        import carina.volume.series_pictures  # noqa: F401
 
 
 def _disable_core_files(log_level: str) -> None:
