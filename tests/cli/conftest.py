@@ -13,6 +13,7 @@ from cached_test_data import cached_phantom
 from carina import Case
 from carina import commands as c
 from carina.cli import main
+from carina.export import VideoWriter
 from carina.phantom import write_phantom
 from user_folders import user_folders
 
@@ -49,6 +50,32 @@ def carina(monkeypatch, capfd, tmp_path):
         return Ended(0 if code is None else code, out, err)
 
     return run
+
+
+@pytest.fixture
+def pictures_of(monkeypatch):
+    """Return a function that returns the pictures of a video file, by the name of the file, before their encoding.
+
+    libx264 encodes the same pictures differently about once in 300 times on a busy machine, even with one thread, so
+    tests that compare videos compare these pictures. The function checks that the file contains all of them.
+    """
+    added = {}
+    add = VideoWriter.add
+
+    def record(video, rgb):
+        if video.num_frames == 0:
+            added[video._path.name] = []
+        added[video._path.name].append(rgb.copy())
+        add(video, rgb)
+
+    monkeypatch.setattr(VideoWriter, "add", record)
+
+    def pictures(path):
+        with pytest.importorskip("av").open(str(path)) as container:
+            assert sum(1 for _ in container.decode(video=0)) == len(added[path.name])
+        return added[path.name]
+
+    return pictures
 
 
 @pytest.fixture(scope="session")

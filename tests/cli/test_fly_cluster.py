@@ -47,10 +47,13 @@ def keys(phantom_folder, tmp_path_factory):
     return file
 
 
-def read_video(path):
-    """Return the pictures of a video file as arrays."""
-    with av.open(str(path)) as container:
-        return [frame.to_ndarray(format="rgb24") for frame in container.decode(video=0)]
+def stored_pictures(folder):
+    """Return the pictures of a folder of stored frames."""
+    pictures = []
+    for path in sorted(folder.glob("frame-*.png")):
+        with av.open(str(path)) as container:
+            pictures.append(next(container.decode(video=0)).to_ndarray(format="rgb24"))
+    return pictures
 
 
 @pytest.fixture
@@ -60,11 +63,11 @@ def film(carina, ct, keys):
 
 
 @pytest.fixture
-def whole(film, tmp_path):
+def whole(film, tmp_path, pictures_of):
     """Return the video that one machine renders without an interruption."""
     ended = film(tmp_path / "whole.mp4", *HOW)
     assert ended.code == 0, ended.err
-    frames = read_video(tmp_path / "whole.mp4")
+    frames = pictures_of(tmp_path / "whole.mp4")
     assert len(frames) == 12
     return frames
 
@@ -114,15 +117,19 @@ def machines(monkeypatch):
     return lanes
 
 
-def test_video_rendered_on_three_machines_one_of_which_dies_equals_that_of_one_machine(film, tmp_path, whole, machines):
+def test_video_rendered_on_three_machines_one_of_which_dies_equals_that_of_one_machine(
+    film, tmp_path, whole, machines, pictures_of
+):
     output = tmp_path / "many.mp4"
     ended = film(output, *HOW, "--cluster", "10.0.0.5")
     assert ended.code == 0, ended.err
-    assert np.array_equal(read_video(output), whole)
+    assert np.array_equal(pictures_of(output), whole)
     assert sum(len(lane.answered) > 0 for lane in machines) >= 2, "the pictures were spread"
 
 
-def test_interrupted_video_resumes_after_its_last_stored_frame(film, tmp_path, whole, machines, monkeypatch):
+def test_interrupted_video_resumes_after_its_last_stored_frame(
+    film, tmp_path, whole, machines, *, monkeypatch, pictures_of
+):
     folder, output = tmp_path / "kept", tmp_path / "v.mp4"
     arguments = [output, *HOW, "--keep", folder]
     keep = StoredFrames.store_frame
@@ -148,7 +155,7 @@ def test_interrupted_video_resumes_after_its_last_stored_frame(film, tmp_path, w
     assert ended.code == 0, ended.err
     assert ended.json()["num_kept"] == 5
     assert made == list(range(12)), "each once, in order"
-    assert np.array_equal(read_video(output), whole)
+    assert np.array_equal(pictures_of(output), whole)
     assert film(*arguments).json()["num_kept"] == 12
     assert made == list(range(12))
 
@@ -213,9 +220,9 @@ def test_video_rendered_on_a_real_cluster_equals_that_of_one_machine(ct, keys, t
     environment = {**environment_in(tmp_path), "HOME": str(tmp_path)}
     output = tmp_path / "ray.mp4"
     command = [sys.executable, "-m", "carina.cli", "fly", str(ct), "--keys", str(keys), "-o", str(output), *HOW]
-    command += ["--cluster", "local"]
+    command += ["--cluster", "local", "--keep", str(tmp_path / "kept")]
     done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=900, check=False)
     assert done.returncode == 0, done.stderr
     assert json.loads(done.stdout)["num_frames"] == 12, "nothing but the result is on standard output"
     assert "raylet" not in done.stderr and "listen_error" not in done.stderr
-    assert np.array_equal(read_video(output), whole)
+    assert np.array_equal(stored_pictures(tmp_path / "kept"), whole)
