@@ -114,8 +114,6 @@ def test_cancellation_ends_a_web_answer_while_it_arrives(tmp_path, orthanc):
         client.find("STUDY", {"PatientID": "SECRET-1"}, limit=5, watch=Watch(None, cancel))
 
 
-# pynetdicom leaves the socket of an aborted connection to the garbage collector.
-@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
 def test_search_states_whether_the_pacs_has_more_studies(connection):
     found = find_studies(connection, patient_id="SECRET-1", limit=1)
     assert (len(found), found.has_more) == (1, True)
@@ -193,8 +191,6 @@ def image_of(num_bytes):
     return image
 
 
-# pynetdicom leaves the socket of an aborted connection to the garbage collector.
-@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
 def test_bytes_of_a_program_that_is_not_the_pacs_do_not_end_a_retrieval(tmp_path):
     port = free_port()
     connection = PacsConnection("test", host="127.0.0.1", called_ae="PACS", calling_ae="CARINA", listen_port=port)
@@ -220,8 +216,6 @@ def test_bytes_of_a_program_that_is_not_the_pacs_do_not_end_a_retrieval(tmp_path
         association.abort()
 
 
-# pynetdicom leaves the socket of an aborted connection to the garbage collector.
-@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
 def test_test_of_a_listener_limits_the_bytes_of_every_program(monkeypatch):
     monkeypatch.setattr("carina.pacs.dimse_client.MAX_ANSWER_BYTES", 4_000)
     port = free_port()

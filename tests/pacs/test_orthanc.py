@@ -179,8 +179,6 @@ def test_unknown_series_is_refused_and_leaves_nothing(connection, tmp_path):
 # -- refusals: one message with one action -----------------------------------------------------------------------------
 
 
-# pynetdicom leaves the socket of a refused connection to the garbage collector.
-@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
 def test_pacs_that_is_off_is_named(orthanc):
     closed = free_port()
     for one in (

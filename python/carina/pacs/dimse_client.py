@@ -55,7 +55,23 @@ def _library() -> Any:
     pynetdicom._config.LOG_HANDLER_LEVEL = "none"
     pynetdicom._config.LOG_RESPONSE_IDENTIFIERS = False
     pynetdicom._config.LOG_REQUEST_IDENTIFIERS = False
+    pynetdicom.transport.AssociationSocket._shutdown_socket = _close_socket
     return pynetdicom
+
+
+def _close_socket(association_socket: Any) -> None:
+    """Close the socket of an association, in place of the library's method.
+
+    The library does not close a socket whose peer has already disconnected (pynetdicom 3.0), so each refused or aborted
+    association would leave a file descriptor open until garbage collection.
+    """
+    sock = association_socket.socket
+    if sock is None:
+        return
+    with contextlib.suppress(OSError):
+        sock.shutdown(socket.SHUT_RDWR)
+    with contextlib.suppress(OSError):
+        sock.close()
 
 
 class DimseClient:
