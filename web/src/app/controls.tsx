@@ -35,19 +35,23 @@ const LIST_CLOSED_MS = 100;
 
 /**
  * Return the handlers of the button and of the list of a selection that remove the focus from the button after a choice
- * by mouse; otherwise the keys of the flight would change the selection or open the list again.
+ * by mouse; otherwise the keys of the flight would change the selection or open the list again. Another element that
+ * has the focus by then keeps it.
  */
 export function useKeysBack() {
-  const byPointer = useRef(false);
+  const button = useRef<Element | null>(null);
   return {
-    onPressStart: (event: { pointerType: string }) => {
-      byPointer.current = event.pointerType !== "keyboard" && event.pointerType !== "virtual";
+    onPressStart: (event: { pointerType: string; target: Element }) => {
+      const byPointer = event.pointerType !== "keyboard" && event.pointerType !== "virtual";
+      button.current = byPointer ? event.target : null;
     },
     onOpenChange: (open: boolean) => {
-      if (open || !byPointer.current) return;
-      byPointer.current = false;
+      const pressed = button.current;
+      if (open || pressed === null) return;
+      button.current = null;
       setTimeout(() => {
-        if (document.activeElement instanceof HTMLElement) document.activeElement.blur();
+        const focused = document.activeElement;
+        if (focused instanceof HTMLElement && pressed.contains(focused)) focused.blur();
       }, LIST_CLOSED_MS);
     },
   };
