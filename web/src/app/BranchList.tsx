@@ -52,6 +52,11 @@ export function BranchList() {
    * root.
    */
   const known = useRef<BranchTree | null>(null);
+  /** Branch to which the list was scrolled last, and the request of the frame in which the list will scroll. */
+  const scrolledTo = useRef<number | null>(null);
+  const scrolling = useRef(0);
+  /** Cancel a pending scroll, because the rows would move away from under the cursor. */
+  const cancelScroll = () => cancelAnimationFrame(scrolling.current);
 
   useEffect(() => {
     const before = known.current;
@@ -67,8 +72,12 @@ export function BranchList() {
       .slice(0, -1)
       .map((node) => String(headOf(node).branch.id));
     setExpanded((old) => (open.every((id) => old.has(id)) ? old : new Set([...old, ...open])));
+    // An edit of the tree does not scroll the list.
+    if (scrolledTo.current === shown) return;
+    scrolledTo.current = shown;
     // Wait for the next frame, so that the row has been rendered before the list scrolls to it.
-    requestAnimationFrame(() => list.current !== null && bringIntoList(list.current, shown));
+    cancelAnimationFrame(scrolling.current);
+    scrolling.current = requestAnimationFrame(() => list.current !== null && bringIntoList(list.current, shown));
   }, [tree, shown]);
 
   const filtered = useMemo(() => (tree === null ? null : filterTree(tree, search)), [tree, search]);
@@ -130,13 +139,17 @@ export function BranchList() {
           className="branch-rows"
           data-armed={forTool || undefined}
           onPointerDownCapture={({ clientX, clientY, timeStamp, pointerType }) => {
+            cancelScroll();
             const by = pointerType === "mouse" ? "mouse" : "finger";
             isRepeated.current = clicks.current.count({ x: clientX, y: clientY }, timeStamp, by) > 1;
           }}
           onKeyDownCapture={() => {
             isRepeated.current = false;
           }}
-          onPointerMove={(event) => station.pointing.hoverBranch(branchOf(event.target))}
+          onPointerMove={(event) => {
+            cancelScroll();
+            station.pointing.hoverBranch(branchOf(event.target));
+          }}
           onPointerLeave={() => station.pointing.hoverBranch(null)}
           onFocus={(event) => station.pointing.hoverBranch(branchOf(event.target))}
           onBlur={() => station.pointing.hoverBranch(null)}
