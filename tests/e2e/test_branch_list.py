@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 
 import pytest
+from workstation import scroll_list_to
 
 pytestmark = pytest.mark.browser
 
@@ -120,7 +121,7 @@ def test_tap_on_a_branch_in_list_or_tree_chooses_the_route_to_it(server, browser
         page.get_by_role("button", name="Airways", exact=True).first.tap()
         row = page.locator(".branch-tree [data-branch]").nth(3)
         chosen = int(row.get_attribute("data-branch"))
-        row.tap()
+        scroll_list_to(row).tap()
         page.wait_for_function(
             f"(id) => window.__carina.state.tree.byId.get({ROUTE_END}).row[0].branch.id === id", arg=chosen
         )

@@ -8,7 +8,7 @@ from contextlib import ExitStack
 import pytest
 from page_positions import named, place_in_slice, place_on_tree, show_slices_at, tree_is_shown
 from playwright.sync_api import expect
-from workstation import open_page
+from workstation import open_page, scroll_list_to
 
 pytestmark = pytest.mark.browser
 
@@ -308,7 +308,7 @@ def test_click_on_a_branch_row_with_an_active_tool_applies_the_tool_to_the_branc
     route = ready.state("route.spans.at(-1).branch_id")
     tree_before, slice_before = ready.overlay("tree"), ready.overlay("coronal")
     arm(ready, tool)
-    row.hover()
+    scroll_list_to(row).hover()
     ready.wait_for("(id) => window.__carina.state.ui.hovered?.branchId === id", lmb)
     # Before the click, the tree and the slices show the branch on which the tool would act.
     ready.wait_for(
@@ -344,7 +344,7 @@ def test_click_on_a_branch_row_with_an_active_tool_applies_the_tool_to_the_branc
 def test_click_on_a_branch_row_with_the_move_fork_tool_selects_the_fork_at_the_start_of_the_branch(ready):
     lmb, trachea = named(ready, "LMB"), named(ready, "Trachea")
     arm(ready, "fork")
-    ready.page.locator(f".branch-tree [data-branch='{lmb}']").click()
+    scroll_list_to(ready.page.locator(f".branch-tree [data-branch='{lmb}']")).click()
     ready.wait_for("(id) => window.__carina.state.ui.forkHeld === id", trachea)
     # The first Esc releases the fork, the second one the tool.
     ready.page.keyboard.press("Escape")

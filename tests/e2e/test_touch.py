@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from page_positions import extent_mm, host, middle_lps, named, place_in_slice, place_on_tree, show_slices_at
 from test_control_sizes import SMALL
-from workstation import PICTURE_MS, Workstation
+from workstation import PICTURE_MS, Workstation, scroll_list_to
 
 from cached_test_data import cached_phantom
 
@@ -64,7 +64,7 @@ def test_journey_by_fingers_reaches_a_printed_plan_on_a_tablet(tablet):
     handle = page.get_by_test_id("sheet-handle")
     page.get_by_role("button", name="Airways", exact=True).first.tap()
     # A tap chooses a branch in the list, and in the external view of the tree.
-    page.locator(".branch-tree [data-branch]").nth(1).tap()
+    scroll_list_to(page.locator(".branch-tree [data-branch]").nth(1)).tap()
     tablet.wait_for("window.__carina.state.session.can_undo?.startsWith('route to') === true")
     page.get_by_test_id("view-tab-outside").tap()
     branch = named(tablet, "LUL")

@@ -126,6 +126,17 @@ OUT = Path(__file__).resolve().parents[1] / "out" / "e2e"
 FUNCTION = re.compile(r"\(?[\[\w, \]]*\)? =>")
 
 
+def scroll_list_to(row: Any) -> Any:
+    """Scroll the list of branches to a row (a locator), wait until the page has handled the scroll, and return the row.
+
+    When the list gets the focus before it has handled a scroll, React Aria restores the earlier position, and a click
+    ends on another row than it began.
+    """
+    row.scroll_into_view_if_needed()
+    row.page.evaluate(FRAME)
+    return row
+
+
 class Workstation:
     """Open page of the workstation, with the actions and observations of a user."""
 
@@ -436,8 +447,8 @@ class Workstation:
         for ancestor in rows[:-1]:
             row = self.page.get_by_role("row").filter(has=self.page.locator(f"[data-branch='{ancestor}']"))
             if row.get_attribute("aria-expanded") == "false":
-                row.locator("button.chevron").click()
-        self.page.locator(f"[data-branch='{rows[-1]}']").click()
+                scroll_list_to(row.locator("button.chevron")).click()
+        scroll_list_to(self.page.locator(f"[data-branch='{rows[-1]}']")).click()
         self.page.wait_for_function(
             "(id) => window.__carina.state.route?.spans.at(-1).branch_id === id", arg=branch_id, timeout=PICTURE_MS
         )
