@@ -18,7 +18,7 @@ from carina.plan.report import make_sheet, write_report
 from carina.render import AirwayView, Renderer, read_png_badges
 from carina.scopes import Pose
 from carina.training import free_nodule_position, insert_nodule
-from carina.training.ct_texture import SLAB, _covariance, _pair_sums, edge_shares, measured_texture
+from carina.training.ct_texture import _covariance, edge_shares, measured_texture
 from carina.training.insert_nodule import voxel_shares
 from carina.training.nodule_shape import NoduleShape
 from carina.volume import Volume, badges_of, write_grid
@@ -152,9 +152,9 @@ def covariances(noise, lags):
     return [float((noise[: nz - k, : ny - j, : nx - i] * noise[k:, j:, i:]).mean()) for k, j, i in lags]
 
 
-@pytest.mark.parametrize("num_slices", [3, SLAB, SLAB + 1, SLAB + 4, 2 * SLAB + 5])
+@pytest.mark.parametrize("num_slices", [3, 24])
 def test_covariance_is_measured_for_every_number_of_slices(num_slices):
-    """The last slab of slices may be thinner than the largest distance between two voxels, 5 slices here."""
+    """A CT may have fewer slices than the largest distance between two voxels, 5 slices here."""
     noise = np.random.default_rng(6).normal(0.0, 20.0, (num_slices, 60, 60))
     # Soft tissue with a strip of lung, near which the noise is measured.
     values = (40.0 + noise).astype(np.float32)
@@ -177,17 +177,6 @@ def test_strands_in_soft_tissue_do_not_make_the_noise_much_stronger_and_finer():
     bends = sum(6.0 * covariance[z, y, x] - 8.0 * covariance[one] + 2.0 * covariance[two] for one, two in
                 (((z, y, x + 1), (z, y, x + 2)), ((z, y + 1, x), (z, y + 2, x))))  # fmt: skip
     assert np.sqrt(bends / 12.0) == pytest.approx(15.0, rel=0.2)
-
-
-@pytest.mark.parametrize("num_slices", [1, 2, 4, 9])
-def test_sums_of_pairs_in_few_slices_are_those_of_all_pairs(num_slices):
-    values = np.random.default_rng(8).normal(size=(num_slices, 6, 7))
-    sums = _pair_sums(values, [5, 2, 3])
-    assert sums.shape == (11, 5, 7)
-    wide = np.pad(values, [(5, 5), (2, 2), (3, 3)])
-    for k, j, i in np.ndindex(sums.shape):
-        part = wide[k : k + num_slices, j : j + 6, i : i + 7]
-        assert sums[k, j, i] == pytest.approx(float((values * part).sum()), abs=1e-9)
 
 
 LAGS = ((0, 0, 0), (0, 0, 1), (0, 0, 2), (0, 0, 4), (0, 1, 0), (0, 2, 0), (0, 4, 0), (1, 0, 0), (1, 1, 1))
