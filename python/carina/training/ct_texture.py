@@ -59,6 +59,8 @@ LAG_MM = 6.0
 MOST_SPREAD = 4.0
 """Maximum deviation from the local mean, in standard deviations; calcifications and strands of fat are left out."""
 LEAST_VOXELS = 1500
+POWER_STEPS = 30
+"""Number of bisections that find the power to subtract from a spectrum."""
 FAR_SHARE = 0.6
 """Share of `LAG_MM` from which the noise of two voxels of a slice is independent."""
 MOST_PAIRS, LEAST_PAIRS = 100_000, 0.02
@@ -100,10 +102,22 @@ class CtTexture:
         reach = [n // 2 for n in self.covariance_zyx.shape]
         around[tuple(slice(0, n) for n in self.covariance_zyx.shape)] = self.covariance_zyx
         around = np.roll(around, [-far for far in reach], axis=(0, 1, 2))
-        power = np.fft.rfftn(around).real.clip(0.0)
-        total = np.fft.irfftn(power, s=wide_zyx, axes=(0, 1, 2))[0, 0, 0]
-        # An estimated covariance has some negative power, without which the variance would be too large.
-        return np.asarray(power * (self.noise_hu**2 / max(float(total), 1e-9)))
+        power = np.fft.rfftn(around).real
+        weights = np.full(power.shape[-1], 2.0)
+        weights[0] = 1.0
+        if wide_zyx[-1] % 2 == 0:
+            weights[-1] = 1.0
+        weights /= math.prod(wide_zyx)
+        # An estimated covariance has some negative power. Without it the variance would be too large, and the noise too
+        # fine; a subtraction from all frequencies gives the nearest spectrum with the variance.
+        low, high = 0.0, max(float(power.max()), 0.0)
+        for _ in range(POWER_STEPS):
+            off = 0.5 * (low + high)
+            if float((power - off).clip(0.0).sum(axis=(0, 1)) @ weights) > self.noise_hu**2:
+                low = off
+            else:
+                high = off
+        return np.asarray((power - low).clip(0.0))
 
 
 def measured_texture(
