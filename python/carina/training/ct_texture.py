@@ -1,6 +1,6 @@
 """Blur and noise of a part of a CT, measured on its own edges and soft tissue, for structures that are inserted.
 
-The blur is the median profile of edges between lung and soft tissue, along each axis of the voxels. The noise is the
+The blur is the median profile of edges between lung and soft tissue, in a slice and across slices. The noise is the
 autocovariance of homogeneous soft tissue in a slice and across slices, which determines its power at all frequencies.
 """
 
@@ -163,11 +163,12 @@ def measured_texture(
     in_plane = [_fit(*edges[n], spacing_mm[n], gains=GAINS) for n in (0, 1)]
     gain = float(np.mean([one[1] for one in in_plane]))
     across = _fit(*edges[2], spacing_mm[2], gains=(0.0,))
-    # The two axes of a slice have the same kernel; one gain is fitted to both.
-    sigma_i, sigma_j = (_fit(*edges[n], spacing_mm[n], gains=(gain,))[0] for n in (0, 1))
+    # The two axes of a slice have the same kernel. Motion and fat widen edges of the heart and of the mediastinum, which
+    # are most of the edges along one axis, so the narrower blur is that of the kernel.
+    sigma = min(_fit(*edges[n], spacing_mm[n], gains=(gain,))[0] for n in (0, 1))
     counts = tuple(len(at) for at, _ in edges)
     return CtTexture(
-        (sigma_i, sigma_j, across[0]), gain, noise_hu, covariance, (counts[0], counts[1], counts[2]), num_voxels
+        (sigma, sigma, across[0]), gain, noise_hu, covariance, (counts[0], counts[1], counts[2]), num_voxels
     )
 
 
