@@ -163,8 +163,8 @@ def measured_texture(
     in_plane = [_fit(*edges[n], spacing_mm[n], gains=GAINS) for n in (0, 1)]
     gain = float(np.mean([one[1] for one in in_plane]))
     across = _fit(*edges[2], spacing_mm[2], gains=(0.0,))
-    # The two axes of a slice have the same kernel. Motion and fat widen edges of the heart and of the mediastinum, which
-    # are most of the edges along one axis, so the narrower blur is that of the kernel.
+    # The two axes of a slice have the same kernel. Motion and fat widen the edges of the heart and of the mediastinum,
+    # which are most of the edges along one axis, so the narrower blur is that of the kernel.
     sigma = min(_fit(*edges[n], spacing_mm[n], gains=(gain,))[0] for n in (0, 1))
     counts = tuple(len(at) for at, _ in edges)
     return CtTexture(
