@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from carina.breathing import Breathing, ChestFrame, ChestMotion
 from carina.commands import (
     Calibrate,
     CloseCase,
@@ -41,6 +42,9 @@ from carina.navigate import (
 )
 from carina.navigate import moves as m
 from carina.navigate.auto_flight import frame_times_s
+from carina.navigate.navigator import Navigator
+from carina.navigate.pilot import Pilot
+from carina.navigate.recording import Recorder, read_recording
 from carina.navigate.rotation import rotation_from_vector, wxyz_from_rotation
 from carina.scopes import Pose, WallField
 from carina.session import ErrorEvent, Session
@@ -221,13 +225,76 @@ def test_damaged_lines_of_a_recording_are_refused_with_their_number(flown, tmp_p
 
 
 @pytest.mark.parametrize(
-    "text", ["", "hello", '{"format":"carina-recording","version":2}', '{"format":"carina-tree"}', "\xff"]
+    "text", ["", "hello", '{"format":"carina-recording","version":3}', '{"format":"carina-tree"}', "\xff"]
 )
 def test_file_without_the_format_of_a_recording_is_refused(tmp_path, text):
     place = tmp_path / "x.jsonl"
     place.write_bytes(text.encode("latin-1"))
     with pytest.raises(VolumeImportError):
         open_recording(place)
+
+
+class _OpenText(io.StringIO):
+    """Text file whose content stays readable after it is closed."""
+
+    def close(self) -> None:
+        """Do nothing."""
+
+
+def recorded(*motions: ChestMotion | None) -> str:
+    """Return a recording of 0.3 s for each breathing, the first of which exists at the start."""
+    pilot, file = pilot_at_origin(), _OpenText()
+    recorder = Recorder(pilot, file, case={}, carina="0", now_s=5.0, view={}, motion=motions[0])
+    for n, motion in enumerate(motions):
+        recorder.note_breathing(motion, 5.0 + 0.3 * n)
+        recorder.tick(5.3 + 0.3 * n)
+        pilot.apply(m.PlacePose(tuple(np.eye(4).ravel().tolist())))
+    recorder.close()
+    return file.getvalue()
+
+
+def pilot_at_origin() -> Pilot:
+    """Return a pilot with the tip at the origin."""
+    return Pilot(Navigator(Pose(np.eye(4))))
+
+
+MOTION = ChestMotion(Breathing(), ChestFrame(110.0, -130.0), began_s=5.0)
+
+
+@pytest.mark.parametrize(
+    ("motions", "versions", "states"),
+    [
+        ((None,), [1], []),
+        ((MOTION,), [2], [True]),
+        ((None, MOTION, None, MOTION), [1, 2], [True, False, True]),
+    ],
+    ids=["without", "from the start", "later"],
+)
+def test_recording_with_breathing_has_a_version_that_older_programs_refuse(motions, versions, states):
+    text = recorded(*motions)
+    lines = [json.loads(line) for line in text.splitlines()]
+    assert [line["version"] for line in lines if "version" in line] == versions
+    found = read_recording(io.StringIO(text), Path("flight"))
+    assert found.complete
+    assert [motion is not None for _, motion in found.motions] == states
+    if 2 in versions:
+        # Earlier versions of Carina read version 1 in the header, and require a time in each other line.
+        first = next(line for line in lines if line.get("version") == 2)
+        assert lines.index(first) < next(n for n, line in enumerate(lines) if "breathing" in line)
+        assert first is lines[0] or not {"t", "end"} & set(first)
+
+
+def test_earlier_recording_with_breathing_and_version_1_opens():
+    lines = recorded(MOTION).splitlines()
+    header = json.loads(lines[0]) | {"version": 1}
+    earlier = "\n".join([json.dumps(header), *lines[1:]]) + "\n"
+    assert read_recording(io.StringIO(earlier), Path("flight")).motions == ((0.0, replace(MOTION, began_s=0.0)),)
+
+
+def test_recording_with_a_line_of_an_unknown_version_is_refused():
+    changed = recorded(None, MOTION).replace('{"version":2}', '{"version":3}')
+    with pytest.raises(VolumeImportError, match="version 3"):
+        read_recording(io.StringIO(changed), Path("flight"))
 
 
 def test_invalid_move_in_a_recording_ends_the_replay_with_a_message(flown, tmp_path):

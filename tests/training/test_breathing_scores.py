@@ -97,27 +97,57 @@ def test_openings_in_sight_of_a_moved_patient_are_those_of_the_explicitly_moved_
     assert np.mean(places.lumen_in_middle == moved_places.lumen_in_middle) > 0.95
 
 
-def test_cough_touches_a_tip_that_is_still_at_the_wall(chest):
+@pytest.fixture(scope="module")
+def beside_wall(chest):
+    """Return a function that returns a pose with a free space of some mm between tip and wall of the trachea."""
     points = chest.tree.root.points
     at = points[len(points) // 2]
-    pose = Pose.looking(at, points[len(points) // 2 + 2] - at).lps_from_camera.copy()
-    reach = np.arange(0.0, 12.0, 0.1)
-    away = chest.wall.ball_mm(pose[:3, 3] + reach[:, None] * pose[:3, 0])
-    tip_mm = 2.45
-    # The space beside the tip is 0.5 mm at rest; a cough narrows the trachea by a third.
-    pose[:3, 3] += reach[int(np.argmax(away < tip_mm + 0.5))] * pose[:3, 0]
-    poses = [pose] * 30
+    middle = Pose.looking(at, points[len(points) // 2 + 2] - at).lps_from_camera
+    reach = np.arange(0.0, 12.0, 0.05)
+    space_mm = chest.wall.ball_mm(middle[:3, 3] + reach[:, None] * middle[:3, 0]) - 2.45
+
+    def pose(free_mm: float) -> np.ndarray:
+        moved = middle.copy()
+        moved[:3, 3] += reach[int(np.argmax(space_mm < free_mm))] * middle[:3, 0]
+        return moved
+
+    return pose
+
+
+COUGH = Breathing(craniocaudal_mm=0.0, anteroposterior_mm=0.0, coughs_s=(1.0,))
+"""A cough from 1 to 1.5 s, which narrows the trachea by a third."""
+
+
+def test_cough_that_moves_the_wall_to_a_resting_tip_is_no_contact_of_the_trainee(chest, beside_wall):
+    text = with_breathing(recording_text([beside_wall(0.5)] * 30, chest.volume), chest, COUGH)
+    frames = flight_frames(read(text))
+    assert (frames.tips_to_wall_mm(chest.wall, ball=True) <= 2.45).any(), "the wall does not reach the tip"
+    score = scored(text, chest)
+    assert score.contacts == ()
+    assert score.contact_time_s == 0.0
+
+
+def test_touch_by_a_cough_counts_from_the_movement_of_the_tip_during_it(chest, beside_wall):
+    poses = [beside_wall(0.5)] * 12 + [beside_wall(0.4)] * 18
     text = recording_text(poses, chest.volume)
-    coughs = Breathing(craniocaudal_mm=0.0, anteroposterior_mm=0.0, coughs_s=(1.0,))
     assert scored(text, chest).contacts == ()
-    (touch,) = scored(with_breathing(text, chest, coughs), chest).contacts
-    assert 1.0 < touch.time_s < 1.5
-    assert touch.duration_s < 0.5
-    # A breathing that begins later on the clock of the recording coughs later, and one that has ended never.
-    (late,) = scored(with_breathing(text, chest, coughs, began_s=0.5), chest).contacts
-    assert late.time_s == pytest.approx(touch.time_s + 0.5)
-    ended = with_breathing(with_breathing(text, chest, coughs), chest, None, at_s=0.5)
+    (touch,) = scored(with_breathing(text, chest, COUGH), chest).contacts
+    assert 1.15 < touch.time_s < 1.5
+    assert touch.duration_s <= 0.3
+    # A breathing that begins later on the clock of the recording coughs after the movement, and one that has ended
+    # never coughs.
+    assert scored(with_breathing(text, chest, COUGH, began_s=0.5), chest).contacts == ()
+    ended = with_breathing(with_breathing(text, chest, COUGH), chest, None, at_s=0.5)
     assert scored(ended, chest).contacts == ()
+
+
+def test_touch_by_the_trainee_counts_until_the_wall_leaves_the_resting_tip(chest, beside_wall):
+    poses = [beside_wall(0.5)] * 5 + [beside_wall(0.0)] * 25
+    text = recording_text(poses, chest.volume)
+    (still,) = scored(text, chest).contacts
+    assert still.duration_s > 2.0
+    (touch,) = scored(with_breathing(text, chest, COUGH), chest).contacts
+    assert (touch.time_s, touch.duration_s) == (still.time_s, still.duration_s)
 
 
 def test_attempt_in_a_breathing_patient_states_it_and_does_not_count_for_mastery(text, chest):

@@ -1,7 +1,8 @@
 """Recordings of a session's flight: every move that the pilot applied, its time, and the resulting pose.
 
 A recording is a text file with one JSON value per line: a header, then one line for each move, each changed pose, each
-change of the views and of the simulated breathing, then an end. Poses serve for comparison: a replay applies the moves
+change of the views and of the simulated breathing, then an end. A recording with breathing has version 2, stated by the
+header or by a line before the first breathing. Poses serve for comparison: a replay applies the moves
 to a new pilot with its gate, filter and mapping. All poses are those in the CT at rest; a simulated breathing carries
 them along (`carina.scopes.Pose.carried_by`).
 """
@@ -30,7 +31,8 @@ from carina.navigate.pilot import Pilot
 from carina.scopes import Pose, WallField
 from carina.volume import Volume
 
-FORMAT, VERSION = "carina-recording", 1
+FORMAT, VERSION, BREATHING_VERSION = "carina-recording", 1, 2
+"""Name of the format, its version without breathing, and its version with breathing, which older programs ignored."""
 MAX_BYTES = 1 << 30
 MAX_LINE = 64 << 20
 """Maximum accepted length of a line in characters: a path of a million points."""
@@ -100,6 +102,7 @@ class Recorder:
         self._pose: Pose | None = None
         self._view: dict[str, Any] = {}
         self._breathing: dict[str, Any] | None = None
+        self._version = VERSION if motion is None else BREATHING_VERSION
         self._at_s = now_s
         self._paused_s: float | None = None
         self._in_task = False
@@ -108,7 +111,7 @@ class Recorder:
         self._write(
             {
                 "format": FORMAT,
-                "version": VERSION,
+                "version": self._version,
                 "carina": carina,
                 "case": case,
                 "tip": pilot.navigator.state(),
@@ -147,12 +150,17 @@ class Recorder:
     def note_breathing(self, motion: ChestMotion | None, now_s: float) -> None:
         """Record a change of the simulated breathing, on the clock of the moves; None ends it.
 
-        The recording states the breathing on its own clock, which pauses exclude; the breathing must pause with it.
+        The recording states the breathing on its own clock, which pauses exclude; the breathing must pause with it. A
+        recording that began without breathing gets a line with the new version. Programs that do not know breathing
+        refuse this line.
         """
         began_s = 0.0 if motion is None else round(motion.began_s - self._began_s, 6)
         breathing = None if motion is None else replace(motion, began_s=began_s).to_json()
         if breathing != self._breathing:
             self._breathing = breathing
+            if self._version != BREATHING_VERSION:
+                self._version = BREATHING_VERSION
+                self._write({"version": BREATHING_VERSION})
             self._write({"t": self._time(self._recorded_s(now_s)), "breathing": breathing})
 
     def _recorded_s(self, now_s: float) -> float:
@@ -469,45 +477,55 @@ def read_recording(file: io.TextIOBase | TextIO, place: Path) -> Recording:
     header = _json_object(file.readline(MAX_LINE))
     if header is None or header.get("format") != FORMAT:
         raise _unusable_recording_error(place, "it does not start with the header of a Carina recording")
-    if header.get("version") != VERSION:
-        raise _unusable_recording_error(
-            place, f"it has format version {header.get('version')!r}; this version of Carina reads {VERSION}"
-        )
+    _check_version(header, place)
     lines: list[dict[str, Any]] = []
     complete = False
     last_s = 0.0
+    number = 1
     while text := file.readline(MAX_LINE):
+        number += 1
         line = _json_object(text)
         if line is None:
             if file.read(1) == "" and not text.endswith("\n"):
                 break  # The last line is incomplete, because the recording was cut off.
-            raise _unusable_recording_error(place, f"line {len(lines) + 2} is not a JSON object")
+            raise _unusable_recording_error(place, f"line {number} is not a JSON object")
+        if set(line) == {"version"}:
+            _check_version(line, place)
+            continue
         at_s = line.get("end", line.get("t"))
         if not isinstance(at_s, int | float) or not last_s <= at_s <= MAX_LENGTH_S:
             raise _unusable_recording_error(
-                place, f"line {len(lines) + 2} has no time, or an earlier time than the line before"
+                place, f"line {number} has no time, or an earlier time than the line before"
             )
         if not all(isinstance(line.get(part, {}), dict) for part in ("move", "view", "wall", "task")):
             raise _unusable_recording_error(
-                place, f"line {len(lines) + 2} contains an invalid movement, view, wall or task record"
+                place, f"line {number} contains an invalid movement, view, wall or task record"
             )
         if not all(isinstance(line.get(part, ""), str) for part in ("task_end", "learner")):
-            raise _unusable_recording_error(
-                place, f"line {len(lines) + 2} contains an invalid end or learner of a task"
-            )
+            raise _unusable_recording_error(place, f"line {number} contains an invalid end or learner of a task")
         if "paused" in line and not _is_pause(line):
-            raise _unusable_recording_error(place, f"line {len(lines) + 2} contains an invalid pause")
+            raise _unusable_recording_error(place, f"line {number} contains an invalid pause")
         if "breathing" in line:
             try:
                 _motion(line)
             except CarinaError as error:
-                raise _unusable_recording_error(place, f"line {len(lines) + 2}: {error}") from error
+                raise _unusable_recording_error(place, f"line {number}: {error}") from error
         last_s = float(at_s)
         lines.append(line)
         if "end" in line:
             complete = True
             break
     return Recording(header, tuple(lines), complete)
+
+
+def _check_version(line: dict[str, Any], place: Path) -> None:
+    """Raise an error if the header, or a line with a new version, states an unknown version of the format."""
+    version = line.get("version")
+    if version not in (VERSION, BREATHING_VERSION):
+        raise _unusable_recording_error(
+            place,
+            f"it has format version {version!r}; this version of Carina reads {VERSION} and {BREATHING_VERSION}",
+        )
 
 
 def _motion(line: dict[str, Any]) -> ChestMotion | None:

@@ -1,7 +1,7 @@
 """Blur and noise of a part of a CT, measured on its own edges and soft tissue, for structures that are inserted.
 
-The blur is the median profile of edges between lung and soft tissue, along each axis of the voxels. The noise is the
-autocovariance of homogeneous soft tissue over all three axes, which determines its power at all frequencies.
+The blur is the median profile of edges between lung and soft tissue, in a slice and across slices. The noise is the
+autocovariance of homogeneous soft tissue in a slice and across slices, which determines its power at all frequencies.
 """
 
 from __future__ import annotations
@@ -59,8 +59,12 @@ LAG_MM = 6.0
 MOST_SPREAD = 4.0
 """Maximum deviation from the local mean, in standard deviations; calcifications and strands of fat are left out."""
 LEAST_VOXELS = 1500
-SLAB = 48
-"""Number of slices that are transformed together."""
+POWER_STEPS = 30
+"""Number of bisections that find the power to subtract from a spectrum."""
+FAR_SHARE = 0.6
+"""Share of `LAG_MM` from which the noise of two voxels of a slice is independent."""
+MOST_PAIRS, LEAST_PAIRS = 100_000, 0.02
+"""Maximum number of pairs of voxels for a distance, and minimum share of the voxels that have a partner there."""
 _ERF = np.vectorize(math.erf, otypes=[np.float64])
 
 
@@ -98,10 +102,22 @@ class CtTexture:
         reach = [n // 2 for n in self.covariance_zyx.shape]
         around[tuple(slice(0, n) for n in self.covariance_zyx.shape)] = self.covariance_zyx
         around = np.roll(around, [-far for far in reach], axis=(0, 1, 2))
-        power = np.fft.rfftn(around).real.clip(0.0)
-        total = np.fft.irfftn(power, s=wide_zyx, axes=(0, 1, 2))[0, 0, 0]
-        # An estimated covariance has some negative power, without which the variance would be too large.
-        return np.asarray(power * (self.noise_hu**2 / max(float(total), 1e-9)))
+        power = np.fft.rfftn(around).real
+        weights = np.full(power.shape[-1], 2.0)
+        weights[0] = 1.0
+        if wide_zyx[-1] % 2 == 0:
+            weights[-1] = 1.0
+        weights /= math.prod(wide_zyx)
+        # An estimated covariance has some negative power. Without it the variance would be too large, and the noise too
+        # fine; a subtraction from all frequencies gives the nearest spectrum with the variance.
+        low, high = 0.0, max(float(power.max()), 0.0)
+        for _ in range(POWER_STEPS):
+            off = 0.5 * (low + high)
+            if float((power - off).clip(0.0).sum(axis=(0, 1)) @ weights) > self.noise_hu**2:
+                low = off
+            else:
+                high = off
+        return np.asarray((power - low).clip(0.0))
 
 
 def measured_texture(
@@ -147,11 +163,12 @@ def measured_texture(
     in_plane = [_fit(*edges[n], spacing_mm[n], gains=GAINS) for n in (0, 1)]
     gain = float(np.mean([one[1] for one in in_plane]))
     across = _fit(*edges[2], spacing_mm[2], gains=(0.0,))
-    # The two axes of a slice have the same kernel; one gain is fitted to both.
-    sigma_i, sigma_j = (_fit(*edges[n], spacing_mm[n], gains=(gain,))[0] for n in (0, 1))
+    # The two axes of a slice have the same kernel. Motion and fat widen the edges of the heart and of the mediastinum,
+    # which are most of the edges along one axis, so the narrower blur is that of the kernel.
+    sigma = min(_fit(*edges[n], spacing_mm[n], gains=(gain,))[0] for n in (0, 1))
     counts = tuple(len(at) for at, _ in edges)
     return CtTexture(
-        (sigma_i, sigma_j, across[0]), gain, noise_hu, covariance, (counts[0], counts[1], counts[2]), num_voxels
+        (sigma, sigma, across[0]), gain, noise_hu, covariance, (counts[0], counts[1], counts[2]), num_voxels
     )
 
 
@@ -263,7 +280,12 @@ def edge_shares(x_mm: Floats, sigma_mm: float, gain: float) -> Floats:
 
 
 def _covariance(values: Values, spacing_mm: tuple[float, float, float]) -> tuple[Floats, int]:
-    """Return the covariance (2c+1, 2b+1, 2a+1) of two voxels of soft tissue by their distance, and the voxel count."""
+    """Return the covariance (2c+1, 2b+1, 2a+1) of two voxels of soft tissue by their distance, and the voxel count.
+
+    The covariance is the variance less half of the squared differences of voxels at a distance. The median of the
+    differences determines their square: seams of fat and vessels, which few pairs cross, are anatomy and no noise. The
+    covariance is the product of that in a slice and that across slices, so that few numbers are estimated.
+    """
     spacing_zyx = spacing_mm[::-1]
     mask = _soft_tissue(values, spacing_zyx)
     rest, mask = _residual(values, mask, spacing_zyx)
@@ -275,19 +297,60 @@ def _covariance(values: Values, spacing_mm: tuple[float, float, float]) -> tuple
             code="insert.no-noise",
         )
     lags = [max(1, math.floor(LAG_MM / one)) for one in spacing_zyx]
-    total, count = (np.zeros([2 * lag + 1 for lag in lags]) for _ in range(2))
-    for first in range(0, len(values), SLAB):
-        part = slice(first, first + SLAB)
-        total += _pair_sums(rest[part], lags)
-        count += _pair_sums(mask[part].astype(np.float64), lags)
-    covariance = total / np.maximum(count, 1.0)
-    away = np.sqrt(sum((np.arange(-lag, lag + 1) * one).reshape([-1 if a == axis else 1 for a in range(3)]) ** 2
-                       for axis, (lag, one) in enumerate(zip(lags, spacing_zyx, strict=True))))  # fmt: skip
-    fade = np.clip((LAG_MM - away) / (0.5 * LAG_MM), 0.0, 1.0)
-    # At large distances the covariance comes from few pairs, or from anatomy that the local mean did not remove.
-    covariance *= 0.5 - 0.5 * np.cos(math.pi * fade)
-    covariance = np.where(count >= 0.02 * num, covariance, 0.0)
-    return covariance * _scale(values, mask, covariance), num
+    pairs = _Pairs(rest, mask, lags)
+    c, b, a = lags
+    in_slice = np.full((2 * b + 1, 2 * a + 1), np.nan)
+    for j, i in np.ndindex(b + 1, 2 * a + 1):
+        if j > 0 or i > a:
+            in_slice[b + j, i] = in_slice[b - j, 2 * a - i] = pairs.half_square((0, j, i - a))
+    y_mm, x_mm = (np.arange(-lag, lag + 1) * one for lag, one in zip(lags[1:], spacing_zyx[1:], strict=True))
+    away_mm = np.hypot(y_mm[:, None], x_mm[None, :])
+    # The noise of distant voxels is independent, so half of their squared differences is the variance.
+    far = away_mm >= min(FAR_SHARE * LAG_MM, float(away_mm.max()))
+    variance = float(np.nanmedian(in_slice[far])) if np.isfinite(in_slice[far]).any() else float(np.nanmax(in_slice))
+    in_slice[b, a] = 0.0
+    across = np.array([0.0, *(pairs.half_square((k, 0, 0)) for k in range(1, c + 1))])
+    # Distances with too few pairs have no covariance.
+    plane, depth = (np.nan_to_num(variance - one) for one in (in_slice, across))
+    z_mm = np.arange(-c, c + 1) * spacing_zyx[0]
+    covariance = depth[np.abs(np.arange(-c, c + 1)), None, None] / max(variance, 1e-9) * plane
+    fade = np.clip((LAG_MM - np.hypot(z_mm[:, None, None], away_mm)) / (0.5 * LAG_MM), 0.0, 1.0)
+    # At large distances the covariance comes from anatomy that the local mean did not remove.
+    return covariance * (0.5 - 0.5 * np.cos(math.pi * fade)), num
+
+
+class _Pairs:
+    """Pairs of voxels of soft tissue at a distance, from a sample of the first voxels.
+
+    Parameters
+    ----------
+    rest, mask
+        (nz, ny, nx) differences from the local mean, and voxels of soft tissue.
+    lags
+        Maximum distances in voxels along z, y and x.
+    """
+
+    def __init__(self, rest: Floats, mask: NDArray[np.bool_], lags: list[int]) -> None:
+        # The margin without tissue lets all distances be offsets in memory.
+        wide = [(lag, lag) for lag in lags]
+        self._mask = np.pad(mask, wide).ravel()
+        # Values are whole HU, and so would be the median of their differences.
+        dither = np.random.default_rng(45).uniform(-0.5, 0.5, rest.shape)
+        self._rest = np.pad((rest + dither).astype(np.float32), wide).ravel()
+        shape = [n + 2 * lag for n, lag in zip(rest.shape, lags, strict=True)]
+        self._strides = (shape[1] * shape[2], shape[2], 1)
+        places = np.flatnonzero(self._mask)
+        self._places = places[np.linspace(0, len(places) - 1, min(len(places), MOST_PAIRS)).astype(np.int64)]
+
+    def half_square(self, lag_zyx: tuple[int, int, int]) -> float:
+        """Return half of the mean squared difference of voxels at a distance, by its median; nan with few pairs."""
+        step = sum(lag * stride for lag, stride in zip(lag_zyx, self._strides, strict=True))
+        first = self._places[self._mask[self._places + step]]
+        if len(first) < LEAST_PAIRS * len(self._places):
+            return math.nan
+        away = float(np.median(np.abs(self._rest[first + step] - self._rest[first])))
+        # Rounding and dither add 1/12 HU2 each to the variance of a voxel.
+        return max(0.0, 0.5 * (1.4826 * away) ** 2 - 1.0 / 6.0)
 
 
 def _residual(
@@ -302,28 +365,6 @@ def _residual(
         spread = 1.4826 * float(np.median(np.abs(rest[mask])))
         mask = mask & (np.abs(rest) <= MOST_SPREAD * max(spread, 1.0))
     return rest * mask, mask
-
-
-def _scale(values: Values, mask: NDArray[np.bool_], covariance: Floats) -> float:
-    """Return the factor that scales a covariance to the differences between neighbouring voxels in most of the tissue.
-
-    Differences of second order contain little of the anatomy, and a few structures or streaks do not change their
-    median. The factor is 1 for voxels so large that a covariance has too few distances.
-    """
-    middle = tuple(n // 2 for n in covariance.shape)
-    wanted = found = 0.0
-    for axis in (1, 2):
-        if covariance.shape[axis] < 5:
-            return 1.0
-        one, two = (float(covariance[tuple(m + n * (a == axis) for a, m in enumerate(middle))]) for n in (1, 2))
-        wanted += 6.0 * float(covariance[middle]) - 8.0 * one + 2.0 * two
-        own, inside = np.moveaxis(values, axis, -1), np.moveaxis(mask, axis, -1)
-        bends = own[..., 2:] - 2.0 * own[..., 1:-1] + own[..., :-2]
-        bends = bends[inside[..., 2:] & inside[..., 1:-1] & inside[..., :-2]]
-        if not len(bends):
-            return 1.0
-        found += (1.4826 * float(np.median(np.abs(bends)))) ** 2
-    return found / wanted if wanted > 0.0 and found > 0.0 else 1.0
 
 
 def _soft_tissue(values: Values, spacing_zyx: tuple[float, ...]) -> NDArray[np.bool_]:
@@ -354,13 +395,3 @@ def _grown(mask: NDArray[np.bool_], spacing_zyx: tuple[float, ...], reach_mm: fl
                      (2 * reach + 1, 0))  # fmt: skip
         found = high > low
     return found
-
-
-def _pair_sums(values: Floats, lags: list[int]) -> Floats:
-    """Return the sums of the products of all pairs of values by their distance, (2c+1, 2b+1, 2a+1)."""
-    # A Fourier transform is periodic: zeros are added so that opposite faces form no pairs. The last slab of slices may
-    # be thinner than the longest distance.
-    wide = [max(n + lag, 2 * lag + 1) for n, lag in zip(values.shape, lags, strict=True)]
-    sums = np.fft.irfftn(np.abs(np.fft.rfftn(values, s=wide, axes=(0, 1, 2))) ** 2, s=wide, axes=(0, 1, 2))
-    sums = np.roll(sums, lags, axis=(0, 1, 2))
-    return np.asarray(sums[tuple(slice(0, 2 * lag + 1) for lag in lags)])

@@ -151,12 +151,15 @@ def wall_contacts(
     """Return the contacts of the tip with the wall, and whether the view is lost by red-out at each frame (n,).
 
     The tip touches where the largest ball around the middle of its face that fits into the lumen is at most
-    :data:`TOUCH_MM` larger than the tip. With a simulated breathing, this holds in the moved patient.
+    :data:`TOUCH_MM` larger than the tip. With a simulated breathing, this holds in the moved patient. A touch that
+    begins while the trainee does not move the tip is caused by the breathing alone, and counts only from the frame in
+    which the tip is moved.
     """
     at = frames.lps_from_tip[:, :3, 3]
     tip_mm = np.array([one.scope.tip_mm / 2.0 for one in frames.optics])[frames.optics_number]
     red = red_out(frames.tips_to_wall_mm(wall), tip_mm) >= MAX_RED_OUT
     touches = frames.tips_to_wall_mm(wall, ball=True) <= tip_mm + TOUCH_MM
+    touches &= _by_movement(touches, at, tip_mm)
     touches[:first] = touches[last + 1 :] = False
     contacts: list[WallContact] = []
     gap = int(CONTACT_GAP_S * FRAME_HZ)
@@ -176,6 +179,19 @@ def wall_contacts(
             hour = _hour_of_wall(moved.lps_from_camera, wall.deformed(deformation))
         contacts.append(WallContact(int(n), int(n), place, int(places.branch_ids[n]), hour))
     return contacts, red
+
+
+def _by_movement(touches: NDArray[np.bool_], at: Points, tip_mm: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Return, for each frame (n,), whether the tip was moved since the last frame without a touch.
+
+    The positions (n, 3) are those in the CT at rest, which a breathing does not change. Another instrument has another
+    tip, so it counts as a movement.
+    """
+    moved = np.ones(len(touches), dtype=bool)
+    moved[1:] = (at[1:] != at[:-1]).any(axis=1) | (tip_mm[1:] != tip_mm[:-1])
+    numbers = np.arange(len(touches))
+    last_moved, last_free = (np.maximum.accumulate(np.where(where, numbers, -1)) for where in (moved, ~touches))
+    return np.asarray(last_moved > last_free)
 
 
 def _hour_of_wall(pose: Points, wall: WallField) -> float:

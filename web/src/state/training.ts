@@ -174,8 +174,9 @@ export function unmarkedRows({ unmarked: found, is_inspection, ...score }: Fligh
     row(
       "Wall contacts",
       `${found.num_contacts} (${seconds(found.contact_s)})`,
-      "Number and duration of touches: the tip is within 0.1 mm of the wall, a definition of Carina. The force is not " +
-        "measured. Wall collisions separate experts from novices: Moorthy 2003.",
+      "Number and duration of touches: the tip is within 0.1 mm of the wall, a definition of Carina. A touch by the " +
+        "simulated breathing alone counts only from the next movement of the tip. The force is not measured. Wall " +
+        "collisions separate experts from novices: Moorthy 2003.",
     ),
     row(
       "Red-out",
