@@ -149,14 +149,18 @@ fn read_slice(
             )?;
             fits_into_tags(&words, format.bits_allocated, format).then_some(words)?
         }
-        Coding::JpegLs | Coding::LosslessJpeg => {
+        Coding::JpegLs => {
             let stream = read_stream(source, buffer)?;
-            let decode = if format.coding == Coding::JpegLs {
-                decode_jpeg_ls
-            } else {
-                decode_lossless_jpeg
-            };
-            let found = decode(&stream, format.rows, format.columns)?;
+            let found = decode_jpeg_ls(&stream, format.rows, format.columns)?;
+            // GDCM cannot read words of another size than that of the tags.
+            let is_byte = found.bits <= 8;
+            let fits = is_byte == (format.bits_allocated == 8)
+                && fits_into_tags(&found.words, found.bits, format);
+            fits.then_some(found.words)?
+        }
+        Coding::LosslessJpeg => {
+            let stream = read_stream(source, buffer)?;
+            let found = decode_lossless_jpeg(&stream, format.rows, format.columns)?;
             fits_into_tags(&found.words, found.bits, format).then_some(found.words)?
         }
     };
