@@ -230,8 +230,7 @@ def _grey_pictures(rng: np.random.Generator, bits: int, rows: int, columns: int)
     return np.stack([np.full_like(ramp, 9), ramp // 5 * 9, single, smooth, noisy, high])
 
 
-@pytest.mark.parametrize("bits", [8, 9, 12, 16])
-@pytest.mark.parametrize("near", [0, 1, 9])
+@pytest.mark.parametrize(("bits", "near"), [(8, 0), (12, 0), (16, 0), (8, 9), (13, 1), (16, 3)])
 def test_jpeg_ls_of_each_depth_is_decoded_like_gdcm_and_no_damage_is_read_otherwise(tmp_path, rng, bits, near):
     """Check intact pictures, then a cut, a changed bit, an inserted byte and a removed byte in each picture."""
     rows, columns = int(rng.integers(20, 40)), int(rng.integers(20, 40))

@@ -141,8 +141,8 @@ def _check_jpeg_ls_depth(header: SliceHeader, stream: Stream | None) -> None:
         return
     if (stream.bits <= 8) != (header.bits_allocated == 8):
         msg = (
-            f"reading {header.file_name}: its compressed stream contains {stream.bits}-bit numbers, but the tags reserve "
-            f"{header.bits_allocated} bits, which the decoder cannot read; export the series uncompressed"
+            f"reading {header.file_name}: its compressed stream contains {stream.bits}-bit numbers, but the tags "
+            f"reserve {header.bits_allocated} bits, which the decoder cannot read; export the series uncompressed"
         )
         raise VolumeImportError(msg, code="import.header")
 
