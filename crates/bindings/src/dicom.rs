@@ -104,6 +104,7 @@ fn decode_dicom_slices(
         "big" => Coding::Big,
         "deflated" => Coding::Deflated,
         "rle" => Coding::Rle,
+        "jpeg ls" => Coding::JpegLs,
         "lossless jpeg" => Coding::LosslessJpeg,
         _ => {
             return Err(PyValueError::new_err(format!(

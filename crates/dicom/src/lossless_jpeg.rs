@@ -1,5 +1,7 @@
 //! Check and decoding of lossless JPEG streams with one grey value per pixel (ITU-T T.81 H).
 
+use crate::pixels::DecodedStream;
+
 const LOSSLESS: u8 = 0xc3;
 const LEFT_OVER_BITS: usize = 8;
 /// Predictor of the transfer syntax *lossless, first-order prediction*: the pixel to the left.
@@ -8,15 +10,6 @@ const LEFT_PIXEL: u8 = 1;
 /// The header of a lossless JPEG stream ends early.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct TruncatedHeader;
-
-/// Values of a decoded stream, row by row, and the number of bits that the stream states for each.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct LosslessJpeg {
-    /// Decoded values.
-    pub words: Vec<u16>,
-    /// Bits of a value.
-    pub bits: u32,
-}
 
 /// The only scan of a lossless grey stream.
 struct Scan<'a> {
@@ -72,7 +65,7 @@ pub fn lossless_jpeg_problem(
 }
 
 /// Decode an intact stream with the prediction from the left pixel; `None` for any other or doubtful stream.
-pub fn decode_lossless_jpeg(frame: &[u8], rows: usize, columns: usize) -> Option<LosslessJpeg> {
+pub fn decode_lossless_jpeg(frame: &[u8], rows: usize, columns: usize) -> Option<DecodedStream> {
     let scan = read_scan(frame, 0).ok()??;
     let is_plain = frame.starts_with(&[0xff, 0xd8, 0xff])
         && (scan.rows, scan.columns) == (rows, columns)
@@ -103,7 +96,7 @@ pub fn decode_lossless_jpeg(frame: &[u8], rows: usize, columns: usize) -> Option
         at += 1;
     });
     let bits = u32::from(scan.bits);
-    is_intact.then_some(LosslessJpeg { words, bits })
+    is_intact.then_some(DecodedStream { words, bits })
 }
 
 /// Read the header of a stream up to its first scan; `None` unless this is the scan of a lossless grey image.
@@ -176,7 +169,7 @@ fn read_scan(frame: &[u8], start: usize) -> Result<Option<Scan<'_>>, TruncatedHe
 }
 
 /// Return the data before the first marker whose second byte is an end; all data without such a marker.
-fn data_before(data: &[u8], is_end: impl Fn(u8) -> bool) -> &[u8] {
+pub(crate) fn data_before(data: &[u8], is_end: impl Fn(u8) -> bool) -> &[u8] {
     let marker = data
         .windows(2)
         .position(|two| two[0] == 0xff && is_end(two[1]));

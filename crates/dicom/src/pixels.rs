@@ -7,7 +7,7 @@ use std::path::PathBuf;
 use rayon::prelude::*;
 
 use crate::header::{inflated_pixels, open_regular};
-use crate::{decode_lossless_jpeg, decode_rle};
+use crate::{decode_jpeg_ls, decode_lossless_jpeg, decode_rle};
 
 const UNDEFINED: u32 = u32::MAX;
 const ITEM: [u8; 4] = [0xfe, 0xff, 0x00, 0xe0];
@@ -36,8 +36,19 @@ pub enum Coding {
     Deflated,
     /// RLE.
     Rle,
+    /// JPEG-LS, lossless or near-lossless.
+    JpegLs,
     /// Lossless JPEG.
     LosslessJpeg,
+}
+
+/// Values of a decoded stream, row by row, and the number of bits that the stream states for each.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct DecodedStream {
+    /// Decoded values.
+    pub words: Vec<u16>,
+    /// Bits of a value.
+    pub bits: u32,
 }
 
 /// Format of the slices of one call.
@@ -137,6 +148,15 @@ fn read_slice(
                 format.bits_allocated as usize / 8,
             )?;
             fits_into_tags(&words, format.bits_allocated, format).then_some(words)?
+        }
+        Coding::JpegLs => {
+            let stream = read_stream(source, buffer)?;
+            let found = decode_jpeg_ls(&stream, format.rows, format.columns)?;
+            // GDCM cannot read words of another size than that of the tags.
+            let is_byte = found.bits <= 8;
+            let fits = is_byte == (format.bits_allocated == 8)
+                && fits_into_tags(&found.words, found.bits, format);
+            fits.then_some(found.words)?
         }
         Coding::LosslessJpeg => {
             let stream = read_stream(source, buffer)?;

@@ -29,6 +29,7 @@ _IMPLICIT_LITTLE, _EXPLICIT_LITTLE = "1.2.840.10008.1.2", "1.2.840.10008.1.2.1"
 _DEFLATED_LITTLE, _EXPLICIT_BIG = "1.2.840.10008.1.2.1.99", "1.2.840.10008.1.2.2"
 _RLE = "1.2.840.10008.1.2.5"
 # Transfer syntaxes that GDCM decodes: JPEG (lossy and lossless), JPEG-LS, JPEG 2000 (PS3.5 A.4).
+_JPEG_LS = ("1.2.840.10008.1.2.4.80", "1.2.840.10008.1.2.4.81")
 _CODED = {f"1.2.840.10008.1.2.4.{number}" for number in (50, 51, 53, 55, 57, 70, 80, 81, 90, 91)} | {_RLE}
 _PLAIN = {_IMPLICIT_LITTLE, _EXPLICIT_LITTLE, _DEFLATED_LITTLE, _EXPLICIT_BIG, ""}
 
@@ -131,6 +132,21 @@ def _check_coded_size(header: SliceHeader, stream: Stream | None) -> None:
     raise VolumeImportError(msg, code="import.truncated")
 
 
+def _check_jpeg_ls_depth(header: SliceHeader, stream: Stream | None) -> None:
+    """Raise an error if a JPEG-LS stream and the tags state words of different sizes.
+
+    GDCM would decode such a stream beyond the end of its memory and end the process.
+    """
+    if stream is None or header.transfer_syntax not in _JPEG_LS:
+        return
+    if (stream.bits <= 8) != (header.bits_allocated == 8):
+        msg = (
+            f"reading {header.file_name}: its compressed stream contains {stream.bits}-bit numbers, but the tags "
+            f"reserve {header.bits_allocated} bits, which the decoder cannot read; export the series uncompressed"
+        )
+        raise VolumeImportError(msg, code="import.header")
+
+
 def _stream_doubts(header: SliceHeader, stream: Stream, pixels: NDArray[np.int32]) -> list[Doubt]:
     """Return doubts about a stream that contradicts the tags (PS3.5 8.2); it is unknown which of the two is right."""
     doubts = []
@@ -181,6 +197,7 @@ def _decoded_pixels(header: SliceHeader) -> tuple[NDArray[np.int32], tuple[Doubt
     else:
         stream = read_stream(frame)
         _check_coded_size(header, stream)
+        _check_jpeg_ls_depth(header, stream)
     pixels = Dataset()
     pixels.file_meta = FileMetaDataset()
     pixels.file_meta.TransferSyntaxUID = UID(header.transfer_syntax)

@@ -33,6 +33,8 @@ _CODINGS = {
     "1.2.840.10008.1.2.5": "rle",
     "1.2.840.10008.1.2.4.57": "lossless jpeg",
     "1.2.840.10008.1.2.4.70": "lossless jpeg",
+    "1.2.840.10008.1.2.4.80": "jpeg ls",
+    "1.2.840.10008.1.2.4.81": "jpeg ls",
 }
 """Coding of the pixels in each transfer syntax that the compiled module reads."""
 _JPEG_2000 = "jpeg 2000"
