@@ -32,7 +32,7 @@ pub struct ThinLimits {
     pub least_dip: f64,
     /// Minimum mean dip along an airway (rise in value from its middle to its second darkest side); airways with a
     /// smaller mean dip are dropped.
-    pub kept_dip: f64,
+    pub least_mean_dip: f64,
     /// Upper limit of the blur of the CT (sigma), mm.
     pub blur_mm: f64,
     /// Minimum length in mm of a path that continues the end of an airway.
@@ -128,7 +128,7 @@ pub fn extend_thin(
     let ways = reached.ways(lumen, dip_threshold);
     let requirements = Requirements {
         section,
-        dip: limits.kept_dip,
+        dip: limits.least_mean_dip,
         length_mm: limits.min_length_mm,
     };
     let continues_airway = |places: &[Place]| continues_airway(grid, lumen, places);
