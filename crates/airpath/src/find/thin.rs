@@ -11,7 +11,7 @@ use carina_leastcost::{TrackError, Watch};
 
 use crate::find::extension_levels::{EXTENDED, Followed, LUMEN};
 use crate::find::lung_sample::{LungSample, quantile};
-use crate::find::thin_paths::{Dips, Reached, Ways};
+use crate::find::thin_paths::{Dips, PathTree, Reached};
 use crate::find::thin_profile::{Place, Profile, Requirements, length_mm};
 use crate::find::tube_filter::{ThinSection, TubeFilter, across, sides};
 use crate::find::tubeness::smoothed;
@@ -125,7 +125,7 @@ pub fn extend_thin(
             ran_out: true,
         });
     }
-    let ways = reached.ways(lumen, dip_threshold);
+    let paths = reached.path_tree(lumen, dip_threshold);
     let requirements = Requirements {
         section,
         dip: limits.least_mean_dip,
@@ -143,7 +143,7 @@ pub fn extend_thin(
     let accepted = accepted_paths(
         values,
         &reached,
-        &ways,
+        &paths,
         dip_threshold,
         &requirements,
         requirements_at,
@@ -189,13 +189,13 @@ struct AcceptedPath {
 fn accepted_paths(
     values: VolumeView<'_, i16>,
     reached: &Reached,
-    ways: &Ways,
+    paths: &PathTree,
     dip_threshold: f64,
     requirements: &Requirements,
     requirements_at: impl Fn(&[Place]) -> Requirements,
     watch: &impl Watch,
 ) -> Result<Vec<AcceptedPath>, TrackError> {
-    let along_mm = |n: u32| ways.along_mm[n as usize];
+    let along_mm = |n: u32| paths.along_mm[n as usize];
     let mut tips: Vec<u32> = (0..reached.nodes.len() as u32)
         .filter(|n| {
             along_mm(*n).is_finite()
@@ -215,7 +215,7 @@ fn accepted_paths(
             continue;
         }
         let mut way = vec![*tip];
-        while let Some(before) = way.last().and_then(|last| ways.before[*last as usize])
+        while let Some(before) = way.last().and_then(|last| paths.before[*last as usize])
             && !is_kept[before as usize]
         {
             way.push(before);
