@@ -92,7 +92,7 @@ pub fn least_path<C: StepCost>(
                 }));
             }
             if num_settled % NODES_PER_CHECK == 0 {
-                watch.report_share(num_settled as f64 / quanta.num_open as f64)?;
+                watch.report_fraction(num_settled as f64 / quanta.num_open as f64)?;
             }
             let ijk = layout.ijk(node);
             let value_at = layout.value_at(ijk);

@@ -224,7 +224,7 @@ impl<C: StepCost> FieldTracker<C> {
             if sweep.num_reached >= last_check + NODES_PER_CHECK || visits == 64 {
                 visits = 0;
                 last_check = sweep.num_reached;
-                watch.report_share(last_check as f64 / self.quanta.num_open as f64)?;
+                watch.report_fraction(last_check as f64 / self.quanta.num_open as f64)?;
             }
         }
         if sweep.is_beyond(&self.left) {
@@ -303,7 +303,7 @@ impl<C: StepCost> FieldTracker<C> {
             self.close_touched();
             if self.num_settled - last_check >= NODES_PER_CHECK {
                 last_check = self.num_settled;
-                watch.report_share(last_check as f64 / self.quanta.num_open as f64)?;
+                watch.report_fraction(last_check as f64 / self.quanta.num_open as f64)?;
             }
         }
         Ok(())

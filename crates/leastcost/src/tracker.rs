@@ -196,7 +196,7 @@ impl Tracker {
             });
             // The check comes after the node is finished, so that a stop never loses its edges.
             if self.order.len().is_multiple_of(NODES_PER_CHECK) {
-                watch.report_share(self.order.len() as f64 / num_nodes as f64)?;
+                watch.report_fraction(self.order.len() as f64 / num_nodes as f64)?;
             }
         }
         Ok(())

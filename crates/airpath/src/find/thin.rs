@@ -96,7 +96,7 @@ pub fn extend_thin(
     limits: &ThinLimits,
     watch: &impl Watch,
 ) -> Result<Thin, TrackError> {
-    watch.report_share(0.0)?;
+    watch.report_fraction(0.0)?;
     let grid = values.grid();
     let data = values.data();
     let smooth = smoothed(values);
@@ -209,7 +209,7 @@ fn accepted_paths(
     let mut accepted = Vec::new();
     for (n, tip) in tips.iter().enumerate() {
         if n.is_multiple_of(1 << 10) {
-            watch.report_share(n as f64 / tips.len() as f64)?;
+            watch.report_fraction(n as f64 / tips.len() as f64)?;
         }
         if covered[*tip as usize] {
             continue;

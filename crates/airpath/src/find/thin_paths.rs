@@ -67,7 +67,7 @@ impl Reached {
             }
         }
         while !wave.is_empty() && nodes.len() <= most {
-            watch.report_share(0.0)?;
+            watch.report_fraction(0.0)?;
             let reached = wave.take();
             dips.measure(&reached);
             for (voxel, left_mm) in reached {

@@ -268,7 +268,7 @@ fn the_result_does_not_depend_on_the_number_of_threads() {
 fn a_stopped_search_returns_an_error() {
     struct Never;
     impl Watch for Never {
-        fn report_share(&self, _share: f64) -> Result<(), TrackError> {
+        fn report_fraction(&self, _fraction: f64) -> Result<(), TrackError> {
             Err(TrackError::Cancelled)
         }
     }

@@ -128,7 +128,7 @@ pub fn cast_planes(
 ) -> Result<Vec<Cast>, TrackError> {
     let mut sections = Vec::with_capacity(planes.len());
     for (n, chunk) in planes.chunks(PLANES_PER_CHECK).enumerate() {
-        watch.report_share((n * PLANES_PER_CHECK) as f64 / planes.len() as f64)?;
+        watch.report_fraction((n * PLANES_PER_CHECK) as f64 / planes.len() as f64)?;
         let found: Vec<Cast> = chunk
             .par_iter()
             .map(|plane| cast_plane(values, *plane, levels))
