@@ -45,7 +45,7 @@ from carina.plan.routes.no_route_reasons import (
     why_none,
 )
 from carina.plan.routes.predictors import RoutePredictors, route_predictors
-from carina.plan.routes.ranking import Demands, Judge, Outlook, ScoreWeights, bending_mm, order
+from carina.plan.routes.ranking import Judge, Outlook, PathRequirements, ScoreWeights, bending_mm, order
 from carina.plan.routes.route_width import (
     Fit,
     RouteOpening,
@@ -662,7 +662,7 @@ class _DraftRoute:
     """Route computed without the needle's errors, and what its path requires of a scope: width, bend, doubts."""
 
     route: PlannedRoute
-    asked: Demands
+    asked: PathRequirements
 
 
 def _moved_leg(scene: NeedleScene, leg: LastLeg, movement: TargetMovement) -> LastLeg:
@@ -693,7 +693,7 @@ def _aims(nodule: Nodule, aims: ArrayLike | None) -> Points:
     return found
 
 
-def _route(places: Places, n: int, aim: int, leg: LastLeg, *, asked: Demands, judge: Judge) -> PlannedRoute:
+def _route(places: Places, n: int, aim: int, leg: LastLeg, *, asked: PathRequirements, judge: Judge) -> PlannedRoute:
     """Return the route to a scope position, with the needle's path from there and the route's score."""
     branch = places.of_branch(n)
     parts = judge.parts(leg, asked.width.mm, places.nodule)

@@ -15,7 +15,7 @@ from carina.display import one_line
 from carina.plan.instruments.tools import Tool
 from carina.plan.movement.target_movement import TargetMovement, default_movement
 from carina.plan.routes.main_carina import ROOT, DistanceOrigin, origins_of_branches
-from carina.plan.routes.ranking import Demands, WorstValue
+from carina.plan.routes.ranking import PathRequirements, WorstValue
 from carina.plan.routes.route_width import widths_on_the_way
 from carina.plan.targets.grow_nodule import Nodule
 from carina.scopes import WallField
@@ -130,7 +130,7 @@ class Ways:
         """Return the origin of the distances along the path to a branch."""
         return self._origins[branch_id]
 
-    def asks(self, n: int, section_mm: float | None) -> Demands:
+    def asks(self, n: int, section_mm: float | None) -> PathRequirements:
         """Return the width and the bend that a scope needs for the path to point ``n``, and the doubts about this path.
 
         Parameters
@@ -152,7 +152,7 @@ class Ways:
             row = int(np.searchsorted(at, float(self.along_mm[n]) + 1e-6, side="right")) - 1
             if row >= 0:
                 bend = WorstValue(float(worst[row]), origin.past_mm(float(where[row])))
-        return Demands(self.width[n], bend, self._doubts[branch.id], self._trust(branch))
+        return PathRequirements(self.width[n], bend, self._doubts[branch.id], self._trust(branch))
 
     def _trust(self, branch: Branch) -> float:
         lineage = self._tree.lineage(branch.id)
