@@ -214,7 +214,7 @@ def test_distances_in_a_branch_above_the_carina_are_measured_from_the_start_of_t
     assert origins[1] == ROOT and all(origins[n] == origin for n in (0, 2, 3, 4))
     ways = Ways(tree, origin=origin)
     for n in range(len(ways.points)):
-        required = ways.asks(n, 12.0)
+        required = ways.requirements_at(n, 12.0)
         own = origins[int(ways.branch[n])]
         assert required.width.origin == own
         start_mm, here_mm = own.past_mm(0.0), own.past_mm(float(ways.along_mm[n]))

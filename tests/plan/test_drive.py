@@ -234,7 +234,7 @@ def test_drive_and_plan_measure_the_same_distance_along_centrelines() -> None:
     assert text.startswith(f"the tip stops {past.from_carina_mm:.0f} mm past the main carina; a working length of ")
     assert text.endswith(f"leaves {slim.length_mm - past.from_carina_mm:.0f} mm from nose or mouth to the main carina")
     bend_mm = float(re.findall(r"the bend (\d+) mm", bend_check(way, slim, errors=True).words)[0])
-    limit = Ways(tree).asks(_place_of(tree, planned), bending_mm(slim)).bend_deg
+    limit = Ways(tree).requirements_at(_place_of(tree, planned), bending_mm(slim)).bend_deg
     assert bend_mm == pytest.approx(limit.at_mm, abs=2.0)
     driven = search_drive(way, wall, slim, effort=10_000.0)
     assert driven.arrived and driven.stopped_mm == pytest.approx(planned.along_mm, abs=1.2)

@@ -162,7 +162,7 @@ def test_parking_position_of_the_first_route_is_best_also_between_evaluated_posi
             leg = dataclasses.replace(leg, hit_share=0.0)
         else:
             leg = last_leg(scene, tip.tip_lps, forward, tip.tip_lps + np.linalg.norm(aim - tip.tip_lps) * tip.forward)
-        required = finer.asks(n, bending_mm(found.scope))
+        required = finer.requirements_at(n, bending_mm(found.scope))
         outlook, chance, _ = judge.outlook(required, leg)
         assert RANK[outlook] >= RANK[first.outlook]
         if outlook == first.outlook:

@@ -45,13 +45,13 @@ def test_required_bend_of_a_route_along_a_circular_arc_is_the_angle_of_the_arc(
     places = Places(
         tree, ellipsoid((3.0, 3.0, 3.0), tree.branches[1].points[-1]), measures=exact_measures(tree, error_mm=0.28)
     )
-    required = places.asks(len(places.points) - 1, SECTION_MM)
+    required = places.requirements_at(len(places.points) - 1, SECTION_MM)
     # The circle is shorter than the section over which bends are measured, so both ends of a section are on straight
     # parts.
     assert math.radians(bend_deg) * radius_mm < SECTION_MM - 8.0
     assert required.bend_deg.value == pytest.approx(bend_deg, abs=1.0)
     assert 80.0 < required.bend_deg.at_mm < 80.0 + math.radians(bend_deg) * radius_mm + SECTION_MM
-    assert places.asks(len(tree.root.points) + 30, SECTION_MM).bend_deg.value < 1.0, (
+    assert places.requirements_at(len(tree.root.points) + 30, SECTION_MM).bend_deg.value < 1.0, (
         "the route before the bend requires no bend"
     )
 
@@ -61,7 +61,7 @@ def test_required_bend_does_not_decrease_along_a_route() -> None:
     places = Places(
         tree, ellipsoid((3.0, 3.0, 3.0), tree.branches[1].points[-1]), measures=exact_measures(tree, error_mm=0.28)
     )
-    bends = [places.asks(n, SECTION_MM).bend_deg.value for n in range(len(places.points))]
+    bends = [places.requirements_at(n, SECTION_MM).bend_deg.value for n in range(len(places.points))]
     assert bends == sorted(bends)
 
 
@@ -72,11 +72,11 @@ def test_narrowest_position_of_a_route_is_where_the_lumen_is_narrow() -> None:
     narrowed = dataclasses.replace(tree.branches[1], radius=radius)
     tree = AirwayTree((tree.root, narrowed))
     places = Places(tree, ellipsoid((3.0, 3.0, 3.0), narrowed.points[-1]), measures=exact_measures(tree))
-    required = places.asks(len(places.points) - 1, SECTION_MM)
+    required = places.requirements_at(len(places.points) - 1, SECTION_MM)
     # The narrow part is shorter than a diameter, and the narrowing is larger than the error of a section.
     assert required.width.mm == pytest.approx(2.9) and required.width.lower_mm < 2.8
     assert required.width.at_mm == pytest.approx(30.0 + 0.5 * 41.5, abs=1.1)
-    before = places.asks(len(tree.root.points) + 20, SECTION_MM)
+    before = places.requirements_at(len(tree.root.points) + 20, SECTION_MM)
     assert before.width.mm == pytest.approx(6.0)
 
 
@@ -106,9 +106,9 @@ def test_further_positions_near_a_route_position_are_on_the_centreline_and_not_w
         assert np.linalg.norm(np.cross(found.points[n] - before, step)) < 1e-9
         assert found.width[n].mm == places.width[own][after].mm
         assert np.linalg.norm(found.forward[n]) == pytest.approx(1.0)
-    required = found.asks(0, SECTION_MM)
+    required = found.requirements_at(0, SECTION_MM)
     assert required.width.at_mm <= found.along_mm[0]
-    assert required.bend_deg.value <= places.asks(len(places.points) - 1, SECTION_MM).bend_deg.value
+    assert required.bend_deg.value <= places.requirements_at(len(places.points) - 1, SECTION_MM).bend_deg.value
     assert len(places.beside([]).points) == 0
 
 
@@ -119,7 +119,7 @@ def test_thicker_scope_never_has_a_higher_chance_to_arrive(tip_mm: float, more_m
     places = Places(
         tree, ellipsoid((3.0, 3.0, 3.0), tree.branches[1].points[-1]), measures=exact_measures(tree, error_mm=0.28)
     )
-    required = places.asks(len(places.points) - 1, SECTION_MM)
+    required = places.requirements_at(len(places.points) - 1, SECTION_MM)
     thin, thick = (
         Judge(dataclasses.replace(scope_preset("thin"), tip_mm=mm, tube_mm=None), 3.0, ScoreWeights(), 15.0).outlook(
             required
@@ -152,7 +152,7 @@ def test_outlook_of_a_route_is_the_worse_of_those_by_width_and_by_bend(
         tree, ellipsoid((3.0, 3.0, 3.0), tree.branches[1].points[-1]), measures=exact_measures(tree, error_mm=0.28)
     )
     found, _, limits = Judge(scope, 3.0, ScoreWeights(), 15.0).outlook(
-        places.asks(len(places.points) - 1, bending_mm(scope))
+        places.requirements_at(len(places.points) - 1, bending_mm(scope))
     )
     assert found == outlook and (limits == ()) == (outlook == "reaches")
 
@@ -163,7 +163,7 @@ def test_outlook_of_a_scope_with_unknown_flexion_is_may_reach() -> None:
         tree, ellipsoid((3.0, 3.0, 3.0), tree.branches[1].points[-1]), measures=exact_measures(tree, error_mm=0.28)
     )
     scope = dataclasses.replace(scope_preset("thin"), flexion_deg=None)
-    found, _, limits = Judge(scope, 3.0, ScoreWeights(), 15.0).outlook(places.asks(100, bending_mm(scope)))
+    found, _, limits = Judge(scope, 3.0, ScoreWeights(), 15.0).outlook(places.requirements_at(100, bending_mm(scope)))
     assert found == "may reach" and limits[0].startswith("it is not known how far")
 
 
@@ -179,6 +179,8 @@ def test_outlook_of_a_tool_that_just_reaches_the_edge_of_the_target_is_may_reach
     at = (float(end[0]), float(end[1]), float(end[2]))
     leg = LastLeg(at, at, at, to_target_mm, 6.0, 0.0, (), 8.0, 8.0, None, None, None, 1.0, reaches=True)
     scope = dataclasses.replace(scope_preset("thin"), tip_mm=4.0, tube_mm=None)
-    found, chance, limits = Judge(scope, 3.0, ScoreWeights(), 15.0).outlook(places.asks(100, SECTION_MM), leg)
+    found, chance, limits = Judge(scope, 3.0, ScoreWeights(), 15.0).outlook(
+        places.requirements_at(100, SECTION_MM), leg
+    )
     assert found == outlook and (limits == ()) == (outlook == "reaches")
     assert chance == pytest.approx(0.5 * math.erfc((to_target_mm - 15.0) / 0.5 / math.sqrt(2.0)), abs=0.01)

@@ -220,7 +220,7 @@ def reach_atlas(
     last: tuple[int, float] | None = None
     for n in range(len(ways.points)):
         branch_id, along_mm = int(ways.branch[n]), float(ways.along_mm[n])
-        outlook, _, _ = judge.outlook(ways.asks(n, section_mm))
+        outlook, _, _ = judge.outlook(ways.requirements_at(n, section_mm))
         if RANK[outlook] == RANK["does not reach"]:
             continue
         tip_mm[branch_id] = max(tip_mm[branch_id], along_mm - starts[branch_id])

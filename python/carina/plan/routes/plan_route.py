@@ -598,7 +598,7 @@ class _PositionSearch:
                 report(0.6 + 0.3 * step / len(candidates))
             leg = self._leg(places, int(n), self.aims_lps[aim])
             if leg.reaches and (self.scene.tool.pierces or leg.is_open):
-                asked = places.asks(n, bending_mm(self.judge.scope))
+                asked = places.requirements_at(n, bending_mm(self.judge.scope))
                 route = _route(places, int(n), aim, leg, asked=asked, judge=self.judge)
                 found.setdefault((route.branch_id, aim), []).append(_DraftRoute(route, asked))
         return found

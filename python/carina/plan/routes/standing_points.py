@@ -130,7 +130,7 @@ class Ways:
         """Return the origin of the distances along the path to a branch."""
         return self._origins[branch_id]
 
-    def asks(self, n: int, section_mm: float | None) -> PathRequirements:
+    def requirements_at(self, n: int, section_mm: float | None) -> PathRequirements:
         """Return the width and the bend that a scope needs for the path to point ``n``, and the doubts about this path.
 
         Parameters
