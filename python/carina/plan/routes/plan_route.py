@@ -598,9 +598,9 @@ class _PositionSearch:
                 report(0.6 + 0.3 * step / len(candidates))
             leg = self._leg(places, int(n), self.aims_lps[aim])
             if leg.reaches and (self.scene.tool.pierces or leg.is_open):
-                asked = places.requirements_at(n, bending_mm(self.judge.scope))
-                route = _route(places, int(n), aim, leg, asked=asked, judge=self.judge)
-                found.setdefault((route.branch_id, aim), []).append(_DraftRoute(route, asked))
+                requirements = places.requirements_at(n, bending_mm(self.judge.scope))
+                route = _route(places, int(n), aim, leg, requirements=requirements, judge=self.judge)
+                found.setdefault((route.branch_id, aim), []).append(_DraftRoute(route, requirements))
         return found
 
     def _leg(self, places: Places, n: int, aim: Points) -> LastLeg:
@@ -628,7 +628,7 @@ class _PositionSearch:
             if leg.hit_share > 0.0:
                 leg = with_errors(self.scene, leg)
             parts = self.judge.parts(leg, draft.route.narrowest_mm, self.scene.nodule)
-            outlook, chance, limits = self.judge.outlook(draft.asked, leg)
+            outlook, chance, limits = self.judge.outlook(draft.requirements, leg)
             route = replace(
                 draft.route,
                 leg=leg,
@@ -662,7 +662,7 @@ class _DraftRoute:
     """Route computed without the needle's errors, and what its path requires of a scope: width, bend, doubts."""
 
     route: PlannedRoute
-    asked: PathRequirements
+    requirements: PathRequirements
 
 
 def _moved_leg(scene: NeedleScene, leg: LastLeg, movement: TargetMovement) -> LastLeg:
@@ -693,29 +693,31 @@ def _aims(nodule: Nodule, aims: ArrayLike | None) -> Points:
     return found
 
 
-def _route(places: Places, n: int, aim: int, leg: LastLeg, *, asked: PathRequirements, judge: Judge) -> PlannedRoute:
+def _route(
+    places: Places, n: int, aim: int, leg: LastLeg, *, requirements: PathRequirements, judge: Judge
+) -> PlannedRoute:
     """Return the route to a scope position, with the needle's path from there and the route's score."""
     branch = places.of_branch(n)
-    parts = judge.parts(leg, asked.width.mm, places.nodule)
-    outlook, chance, limits = judge.outlook(asked, leg)
+    parts = judge.parts(leg, requirements.width.mm, places.nodule)
+    outlook, chance, limits = judge.outlook(requirements, leg)
     forward = places.forward[n]
     return PlannedRoute(
         branch_id=branch.id,
         branch_name=branch_title(branch),
         along_mm=float(places.along_mm[n]),
-        origin=asked.width.origin,
+        origin=requirements.width.origin,
         forward=(float(forward[0]), float(forward[1]), float(forward[2])),
-        width=asked.width,
-        fit=asked.width.fit(judge.scope),
+        width=requirements.width,
+        fit=requirements.width.fit(judge.scope),
         leg=leg,
         parts=parts,
         score=judge.score(parts),
-        doubts=asked.doubts,
+        doubts=requirements.doubts,
         aim=aim,
         outlook=outlook,
         chance=chance,
         limits=limits,
-        bend_deg=asked.bend_deg.value,
+        bend_deg=requirements.bend_deg.value,
         tools=tuple(
             one.name
             for one in tools()
