@@ -74,7 +74,7 @@ class NearestPlace:
         }
 
 
-class Ways:
+class CentrelinePoints:
     """Centreline points of a tree, with the width, bends and doubts of the path from the root to each point.
 
     Parameters
@@ -163,7 +163,7 @@ class Ways:
         return tuple(words for one in self._tree.lineage(branch.id) for words in branch_doubts(one))
 
 
-class Places(Ways):
+class Places(CentrelinePoints):
     """Centreline points of a tree, with their distance and direction to one nodule."""
 
     def __init__(
