@@ -36,7 +36,7 @@ from carina.plan import (
 from carina.plan.routes.attainable_directions import StandingPlace, TipDirections
 from carina.plan.routes.plan_route import standing_apart
 from carina.plan.routes.ranking import RANK, Judge, bending_mm, order
-from carina.plan.routes.standing_points import Places
+from carina.plan.routes.standing_points import ScopePositions
 from carina.scopes import ScopePreset, WallField, scope_preset
 from carina.track import Airways, measure_tree
 from carina.volume import Volume
@@ -147,9 +147,9 @@ def test_parking_position_of_the_first_route_is_best_also_between_evaluated_posi
     scene = NeedleScene(nodule, wall(), around, found.tool, NeedleErrors())
     judge = Judge(found.scope, 3.0, ScoreWeights(), found.tool.reach_mm)
     measures = measure_tree(cached_phantom(**CHEST).volume, airways)
-    places = Places(airways.tree, nodule, wall(), measures=measures, spacing_mm=1.1)
+    positions = ScopePositions(airways.tree, nodule, wall(), measures=measures, spacing_mm=1.1)
     directions = TipDirections(airways.tree, wall(), found.scope)
-    finer = places.beside((first.branch_id, first.along_mm + mm) for mm in np.arange(-8.0, 8.0, 0.6))
+    finer = positions.beside((first.branch_id, first.along_mm + mm) for mm in np.arange(-8.0, 8.0, 0.6))
     scores = []
     for n, (point, forward) in enumerate(zip(finer.points, finer.forward, strict=True)):
         leg = last_leg(scene, point, forward)

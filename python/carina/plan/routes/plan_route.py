@@ -53,7 +53,7 @@ from carina.plan.routes.route_width import (
     measures_of,
     openings_of_route,
 )
-from carina.plan.routes.standing_points import BronchusSign, NearestPlace, Places, branch_title
+from carina.plan.routes.standing_points import BronchusSign, NearestPlace, ScopePositions, branch_title
 from carina.plan.targets.doubts import Confirmed, TargetDoubt, check_confirmed, confirmed_codes, target_doubts
 from carina.plan.targets.from_click import target_from_click
 from carina.plan.targets.nodule import Nodule
@@ -487,34 +487,38 @@ def draft_plan(
     report(0.5)
     measures = measures_of(volume, airways, measures, cancel=cancel)
     origin = distance_origin(volume, airways)
-    places = Places(airways.tree, nodule, wall, measures=measures, spacing_mm=max(volume.spacing_mm), origin=origin)
+    positions = ScopePositions(
+        airways.tree, nodule, wall, measures=measures, spacing_mm=max(volume.spacing_mm), origin=origin
+    )
     judge = Judge(preset, vessel_margin_mm, weights or ScoreWeights(), used.reach_mm, used)
-    moved = places.default_movement() if movement is None else movement
-    sign, sign_branch, sign_lps = places.bronchus_sign()
-    nearest = places.nearest()
-    candidates = [(n, aim) for aim in range(len(meant)) for n in places.within_reach(used, meant[aim], MAX_ANGLE_DEG)]
+    moved = positions.default_movement() if movement is None else movement
+    sign, sign_branch, sign_lps = positions.bronchus_sign()
+    nearest = positions.nearest()
+    candidates = [
+        (n, aim) for aim in range(len(meant)) for n in positions.within_reach(used, meant[aim], MAX_ANGLE_DEG)
+    ]
     kept: tuple[PlannedRoute, ...] = ()
     spares: tuple[PlannedRoute, ...] = ()
     scene: NeedleScene | None = None
     if candidates:
         # The box extends from the farthest tip to beyond the target, with margins beside the needle.
-        farthest = max(float(places.distance[n]) for n, _ in candidates)
+        farthest = max(float(positions.distance[n]) for n, _ in candidates)
         half = max(farthest, 0.5 * nodule.long_mm + BEYOND_MM) + max(vessel_margin_mm, MIN_MARGIN_MM) + ROUND_MM
         around = surroundings(volume, np.array(nodule.centre_lps), min(half, MAX_BOX_MM), nodule, wall)
         scene = NeedleScene(nodule, wall, around, used, errors or NeedleErrors(), vessel_margin_mm)
         search = _PositionSearch(scene, judge, meant, TipDirections(airways.tree, wall, preset))
-        drafts_of = search.drafts(places, candidates, report)
+        drafts_of = search.drafts(positions, candidates, report)
         best = {key: search.best(drafts) for key, drafts in drafts_of.items()}
         # Each best place is refined, because the best place of a branch may be between two evaluated places.
         for aim, aim_lps in enumerate(meant):
-            finer = places.beside((one.branch_id, one.along_mm) for one in best.values() if one.aim == aim)
+            finer = positions.beside((one.branch_id, one.along_mm) for one in best.values() if one.aim == aim)
             near = [(n, aim) for n in finer.within_reach(used, aim_lps, MAX_ANGLE_DEG, apart_mm=0.0)]
             for key, drafts in search.drafts(finer, near).items():
                 best[key] = search.best(drafts, best[key])
         first = None
         if request.place is not None and 0 <= request.place[2] < len(meant):
             # The place that the user has chosen replaces the best place of its branch.
-            exact = places.at(*request.place[:2])
+            exact = positions.at(*request.place[:2])
             for key, drafts in search.drafts(exact, [(n, request.place[2]) for n in range(len(exact.points))]).items():
                 best[key] = first = search.best(drafts)
         kept = tuple(
@@ -585,7 +589,10 @@ class _PositionSearch:
     directions: TipDirections
 
     def drafts(
-        self, places: Places, candidates: Sequence[tuple[Any, int]], report: Callable[[float], None] | None = None
+        self,
+        positions: ScopePositions,
+        candidates: Sequence[tuple[Any, int]],
+        report: Callable[[float], None] | None = None,
     ) -> dict[tuple[int, int], list[_DraftRoute]]:
         """Return the routes whose needles reach the target, by branch and aim, computed without the needle's errors.
 
@@ -596,18 +603,18 @@ class _PositionSearch:
         for step, (n, aim) in enumerate(candidates):
             if report is not None:
                 report(0.6 + 0.3 * step / len(candidates))
-            leg = self._leg(places, int(n), self.aims_lps[aim])
+            leg = self._leg(positions, int(n), self.aims_lps[aim])
             if leg.reaches and (self.scene.tool.pierces or leg.is_open):
-                requirements = places.requirements_at(n, bending_mm(self.judge.scope))
-                route = _route(places, int(n), aim, leg, requirements=requirements, judge=self.judge)
+                requirements = positions.requirements_at(n, bending_mm(self.judge.scope))
+                route = _route(positions, int(n), aim, leg, requirements=requirements, judge=self.judge)
                 found.setdefault((route.branch_id, aim), []).append(_DraftRoute(route, requirements))
         return found
 
-    def _leg(self, places: Places, n: int, aim: Points) -> LastLeg:
-        place, forward = places.points[n], places.forward[n]
+    def _leg(self, positions: ScopePositions, n: int, aim: Points) -> LastLeg:
+        place, forward = positions.points[n], positions.forward[n]
         if not self.directions.is_known:
             return leg_as_aimed(self.scene, place, forward, aim)
-        standing = StandingPlace(int(places.branch[n]), float(places.along_mm[n]), place, forward)
+        standing = StandingPlace(int(positions.branch[n]), float(positions.along_mm[n]), place, forward)
         tip = self.directions.towards(standing, aim, 0.5 * self.scene.nodule.short_mm)
         if tip is not None:
             distance = float(np.linalg.norm(aim - tip.tip_lps))
@@ -694,17 +701,17 @@ def _aims(nodule: Nodule, aims: ArrayLike | None) -> Points:
 
 
 def _route(
-    places: Places, n: int, aim: int, leg: LastLeg, *, requirements: PathRequirements, judge: Judge
+    positions: ScopePositions, n: int, aim: int, leg: LastLeg, *, requirements: PathRequirements, judge: Judge
 ) -> PlannedRoute:
     """Return the route to a scope position, with the needle's path from there and the route's score."""
-    branch = places.of_branch(n)
-    parts = judge.parts(leg, requirements.width.mm, places.nodule)
+    branch = positions.of_branch(n)
+    parts = judge.parts(leg, requirements.width.mm, positions.nodule)
     outlook, chance, limits = judge.outlook(requirements, leg)
-    forward = places.forward[n]
+    forward = positions.forward[n]
     return PlannedRoute(
         branch_id=branch.id,
         branch_name=branch_title(branch),
-        along_mm=float(places.along_mm[n]),
+        along_mm=float(positions.along_mm[n]),
         origin=requirements.width.origin,
         forward=(float(forward[0]), float(forward[1]), float(forward[2])),
         width=requirements.width,

@@ -163,7 +163,7 @@ class CentrelinePoints:
         return tuple(words for one in self._tree.lineage(branch.id) for words in branch_doubts(one))
 
 
-class Places(CentrelinePoints):
+class ScopePositions(CentrelinePoints):
     """Centreline points of a tree, with their distance and direction to one nodule."""
 
     def __init__(
@@ -220,7 +220,7 @@ class Places(CentrelinePoints):
                 chosen.append(int(n))
         return np.array(chosen, dtype=np.intp)
 
-    def beside(self, spots: Iterable[tuple[int, float]]) -> Places:
+    def beside(self, spots: Iterable[tuple[int, float]]) -> ScopePositions:
         """Return a copy that contains only scope positions `FINE_MM` apart, round given ones.
 
         Parameters
@@ -234,7 +234,7 @@ class Places(CentrelinePoints):
             at.setdefault(branch, []).append(middle + np.concatenate([-steps, steps]))
         return self._interpolated(at)
 
-    def at(self, branch_id: int, along_mm: float) -> Places:
+    def at(self, branch_id: int, along_mm: float) -> ScopePositions:
         """Return a copy with one place, or with none if there is no such place in the tree.
 
         Parameters
@@ -246,7 +246,7 @@ class Places(CentrelinePoints):
         known = len(along) > 0 and along[0] - ON_BRANCH_MM <= along_mm <= along[-1] + ON_BRANCH_MM
         return self._interpolated({branch_id: [np.array([along_mm])]} if known else {})
 
-    def _interpolated(self, at: dict[int, list[Points]]) -> Places:
+    def _interpolated(self, at: dict[int, list[Points]]) -> ScopePositions:
         """Return a copy with places at distances from the root in mm, by branch.
 
         The width at an interpolated place is the narrower one of its two neighbours.
