@@ -14,7 +14,7 @@ from nodules import ellipsoid
 
 from carina.plan.routes.last_leg import LastLeg
 from carina.plan.routes.ranking import RANK, Judge, ScoreWeights, bending_mm
-from carina.plan.routes.standing_points import FINE_MM, PLACES_MM, ScopePositions
+from carina.plan.routes.standing_points import FINE_STEP_MM, POSITION_STEP_MM, ScopePositions
 from carina.scopes import scope_preset
 from carina.track import AirwayTree, Branch
 
@@ -95,9 +95,11 @@ def test_further_positions_near_a_route_position_are_on_the_centreline_and_not_w
     along, points = positions.along_mm[own], positions.points[own]
     at_mm = min(at_mm, float(along[-1]))
     found = positions.beside([(1, at_mm)])
-    assert (np.abs(found.along_mm - at_mm) <= PLACES_MM + 1e-9).all()
-    assert (np.diff(found.along_mm) <= 2.0 * FINE_MM + 1e-9).all() and len(found.along_mm) >= 4
-    assert min(at_mm + PLACES_MM, along[-1]) in found.along_mm, "up to the neighbours, or to where the branch ends"
+    assert (np.abs(found.along_mm - at_mm) <= POSITION_STEP_MM + 1e-9).all()
+    assert (np.diff(found.along_mm) <= 2.0 * FINE_STEP_MM + 1e-9).all() and len(found.along_mm) >= 4
+    assert min(at_mm + POSITION_STEP_MM, along[-1]) in found.along_mm, (
+        "up to the neighbours, or to where the branch ends"
+    )
     for n, mm in enumerate(found.along_mm):
         after = min(int(np.searchsorted(along, mm)), len(along) - 1)
         before = points[max(after - 1, 0)]

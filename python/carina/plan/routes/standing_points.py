@@ -24,10 +24,10 @@ from carina.track import AirwayTree, Branch, TreeMeasures, branch_side_and_lobe
 Points = NDArray[np.float64]
 BronchusSign = Literal["into", "beside", "none"]
 
-PLACES_MM = 0.7
+POSITION_STEP_MM = 0.7
 """Distance in mm between two scope positions on one branch that are evaluated in the first pass."""
 ON_BRANCH_MM = 0.001
-FINE_MM = 0.175
+FINE_STEP_MM = 0.175
 """Distance in mm between the additional scope positions that a second pass evaluates round the best ones."""
 LOWER_LOBES = {"RUL": "RLL", "RML": "RLL", "LUL": "LLL", "LML": "LLL"}
 """Lower lobe of the same lung for each other lobe; a mirrored chest has LML."""
@@ -188,7 +188,7 @@ class ScopePositions(CentrelinePoints):
         return found
 
     def within_reach(
-        self, tool: Tool, aim_lps: Points, most_angle_deg: float, *, apart_mm: float = PLACES_MM
+        self, tool: Tool, aim_lps: Points, most_angle_deg: float, *, apart_mm: float = POSITION_STEP_MM
     ) -> NDArray[np.intp]:
         """Return the places from which the tool may reach the nodule forwards.
 
@@ -221,14 +221,14 @@ class ScopePositions(CentrelinePoints):
         return np.array(chosen, dtype=np.intp)
 
     def beside(self, spots: Iterable[tuple[int, float]]) -> ScopePositions:
-        """Return a copy that contains only scope positions `FINE_MM` apart, round given ones.
+        """Return a copy that contains only scope positions `FINE_STEP_MM` apart, round given ones.
 
         Parameters
         ----------
         spots
             Id of the branch and distance from the root in mm, of each given place.
         """
-        steps = FINE_MM * np.arange(1, round(PLACES_MM / FINE_MM) + 1)
+        steps = FINE_STEP_MM * np.arange(1, round(POSITION_STEP_MM / FINE_STEP_MM) + 1)
         at: dict[int, list[Points]] = {}
         for branch, middle in spots:
             at.setdefault(branch, []).append(middle + np.concatenate([-steps, steps]))
