@@ -479,7 +479,7 @@ def draft_plan(
         target = target.nodule
     nodule = target
     check_target(volume, airways, nodule)
-    meant = _aims(nodule, aims)
+    aims_lps = _aims(nodule, aims)
     report(0.1)
     wall = wall_field(volume, airways, cancel=cancel) if wall is None else wall
     doubts = target_doubts(volume, nodule, airways=airways, wall=wall, clicked_lps=clicked)
@@ -495,9 +495,9 @@ def draft_plan(
     sign, sign_branch, sign_lps = positions.bronchus_sign()
     nearest = positions.nearest()
     candidates = [
-        (n, aim) for aim in range(len(meant)) for n in positions.within_reach(used, meant[aim], MAX_ANGLE_DEG)
+        (n, aim) for aim in range(len(aims_lps)) for n in positions.within_reach(used, aims_lps[aim], MAX_ANGLE_DEG)
     ]
-    kept: tuple[PlannedRoute, ...] = ()
+    routes: tuple[PlannedRoute, ...] = ()
     spares: tuple[PlannedRoute, ...] = ()
     scene: NeedleScene | None = None
     if candidates:
@@ -506,28 +506,28 @@ def draft_plan(
         half = max(farthest, 0.5 * nodule.long_mm + BEYOND_MM) + max(vessel_margin_mm, MIN_MARGIN_MM) + ROUND_MM
         around = surroundings(volume, np.array(nodule.centre_lps), min(half, MAX_BOX_MM), nodule, wall)
         scene = NeedleScene(nodule, wall, around, used, errors or NeedleErrors(), vessel_margin_mm)
-        search = _PositionSearch(scene, judge, meant, TipDirections(airways.tree, wall, preset))
+        search = _PositionSearch(scene, judge, aims_lps, TipDirections(airways.tree, wall, preset))
         drafts_of = search.drafts(positions, candidates, report)
         best = {key: search.best(drafts) for key, drafts in drafts_of.items()}
         # Each best place is refined, because the best place of a branch may be between two evaluated places.
-        for aim, aim_lps in enumerate(meant):
+        for aim, aim_lps in enumerate(aims_lps):
             finer = positions.beside((one.branch_id, one.along_mm) for one in best.values() if one.aim == aim)
             near = [(n, aim) for n in finer.within_reach(used, aim_lps, MAX_ANGLE_DEG, apart_mm=0.0)]
             for key, drafts in search.drafts(finer, near).items():
                 best[key] = search.best(drafts, best[key])
         first = None
-        if request.place is not None and 0 <= request.place[2] < len(meant):
+        if request.place is not None and 0 <= request.place[2] < len(aims_lps):
             # The place that the user has chosen replaces the best place of its branch.
             exact = positions.at(*request.place[:2])
             for key, drafts in search.drafts(exact, [(n, request.place[2]) for n in range(len(exact.points))]).items():
                 best[key] = first = search.best(drafts)
-        kept = tuple(
+        routes = tuple(
             replace(route, leg=_moved_leg(scene, route.leg, moved))
             for route in standing_apart(sorted(best.values(), key=order), first=first)
         )
         spares = tuple(
             search.best(apart)
-            for route in kept
+            for route in routes
             if not is_at(route, request.place)
             and (apart := search.apart_from(route, drafts_of.get((route.branch_id, route.aim), ())))
         )
@@ -547,7 +547,7 @@ def draft_plan(
                 ridges=fork_ridges(lineage, airways.tree.branches, wall, spacing_mm=spacing_mm),
             )
 
-        kept = tuple(with_figures(route) for route in kept)
+        routes = tuple(with_figures(route) for route in routes)
         spares = tuple(with_figures(route) for route in spares)
     report(1.0)
     plan = Plan(
@@ -558,16 +558,16 @@ def draft_plan(
         sign_branch=sign_branch,
         sign_lps=sign_lps,
         movement=moved,
-        routes=kept,
-        why=None if kept else why_none(airways, nodule, nearest, used),
+        routes=routes,
+        why=None if routes else why_none(airways, nodule, nearest, used),
         notes=(
             *ct_notes(volume, airways),
             *notes_of_target(volume, airways, nodule, nearest),
             *notes_of_tools(preset, used),
             *moved.notes,
-            *dict.fromkeys(route.origin.note for route in kept if route.origin.note is not None),
+            *dict.fromkeys(route.origin.note for route in routes if route.origin.note is not None),
         ),
-        aims=tuple((float(x), float(y), float(z)) for x, y, z in meant),
+        aims=tuple((float(x), float(y), float(z)) for x, y, z in aims_lps),
         vessel_margin_mm=vessel_margin_mm,
         weights=judge.weights,
         nearest=nearest,
@@ -774,14 +774,15 @@ def standing_apart(routes: Sequence[PlannedRoute], *, first: PlannedRoute | None
 
     The best route to each aim is always returned, and a route ``first``, which no other one replaces.
     """
-    kept: list[PlannedRoute] = [] if first is None else [first]
+    selected: list[PlannedRoute] = [] if first is None else [first]
     for route in routes:
         place = np.array(route.leg.tip_lps)
         if all(
-            one.aim != route.aim or float(np.linalg.norm(place - np.array(one.leg.tip_lps))) > APART_MM for one in kept
+            one.aim != route.aim or float(np.linalg.norm(place - np.array(one.leg.tip_lps))) > APART_MM
+            for one in selected
         ):
-            kept.append(route)
-    firsts = {next(n for n, one in enumerate(kept) if one.aim == aim) for aim in {one.aim for one in kept}}
-    others = [n for n in range(len(kept)) if n not in firsts]
+            selected.append(route)
+    firsts = {next(n for n, one in enumerate(selected) if one.aim == aim) for aim in {one.aim for one in selected}}
+    others = [n for n in range(len(selected)) if n not in firsts]
     chosen = sorted([*firsts, *others[: MAX_ROUTES - len(firsts)]])
-    return tuple(sorted((kept[n] for n in chosen), key=order))
+    return tuple(sorted((selected[n] for n in chosen), key=order))
