@@ -162,15 +162,15 @@ def _way(sheet: PlanSheet) -> Section:
     if sheet.route is not None:
         words = "Blue: the route, with its forks by number. Orange: last leg and target. Red: drawn by hand or bridged."
         title = "Airways and route"
-    blocks = (Words(words, "quiet"), _tree_figures(sheet))
-    return Section("airways", title, blocks, starts_page=_is_tree_after_page_one(sheet))
+    no_route = (Words(words, "quiet"), _tree_figures(sheet))
+    return Section("airways", title, no_route, starts_page=_is_tree_after_page_one(sheet))
 
 
 def _route(sheet: PlanSheet) -> list[Section]:
     plan, route = sheet.plan, sheet.route
     if route is None:
         why = plan.why or "no route was found"
-        told: list[Block] = [Words(why[0].upper() + why[1:] + ("" if why.endswith(".") else "."), "warning")]
+        no_route: list[Block] = [Words(why[0].upper() + why[1:] + ("" if why.endswith(".") else "."), "warning")]
         if plan.nearest is not None:
             near = plan.nearest
             place = (
@@ -179,8 +179,8 @@ def _route(sheet: PlanSheet) -> list[Section]:
                 ("Its width there", f"{near.width_mm:.1f} mm"),
                 ("Place (LPS)", ", ".join(f"{v:.1f}" for v in near.place_lps) + " mm"),
             )
-            told.append(Facts(place))
-        return [Section("route", "No route", tuple(told))]
+            no_route.append(Facts(place))
+        return [Section("route", "No route", tuple(no_route))]
     leg = route.leg
     fits = f"{route.width.words}; the scope needs {plan.scope.fit_mm:.1f} mm"
     least = f"{leg.in_target_mm:.0f} mm as aimed, at least {leg.least_in_target_mm:.0f} mm within the needle's errors"
