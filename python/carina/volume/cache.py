@@ -171,7 +171,7 @@ class VolumeCache:
         clock: Callable[[], float] = time.time,
     ) -> None:
         self._folder = Path(folder)
-        self._max_bytes = self._told_bytes = max_bytes
+        self._max_bytes = self._configured_max_bytes = max_bytes
         self._max_age_s = max_age_s
         self._clock = clock
         self._lock = threading.Lock()
@@ -193,11 +193,11 @@ class VolumeCache:
     @property
     def can_be_on(self) -> bool:
         """Whether :meth:`switch` can switch the cache on: it was not created with 0 bytes."""
-        return self._told_bytes != 0
+        return self._configured_max_bytes != 0
 
     def switch(self, on: bool) -> None:
         """Switch the cache on, or switch it off and delete the stored CTs."""
-        self._max_bytes = self._told_bytes if on else 0
+        self._max_bytes = self._configured_max_bytes if on else 0
         if not on:
             self.empty()
 
