@@ -116,7 +116,7 @@ def test_first_route_has_the_best_score_of_all_evaluated_positions() -> None:
     weights = ScoreWeights()
     best = 0.0
     for branch in airways.tree.branches[1:]:
-        room = min(2.0 * float(one.wall_distance.min()) for one in airways.tree.lineage(branch.id)[1:])
+        diameter_mm = min(2.0 * float(one.wall_distance.min()) for one in airways.tree.lineage(branch.id)[1:])
         for point, forward in zip(branch.points, np.gradient(branch.points, axis=0), strict=True):
             if np.linalg.norm(point - nodule.centre_lps) > 40.0:
                 continue
@@ -128,7 +128,7 @@ def test_first_route_has_the_best_score_of_all_evaluated_positions() -> None:
                 weights.misses * (1.0 - leg.hit_share)
                 + weights.way * leg.outside_mm / found.tool.reach_mm
                 + weights.angle * min(leg.angle_deg / 90.0, 1.0)
-                + weights.narrow * min(max(4.0 * (1.0 - room / found.scope.fit_mm), 0.0), 1.0)
+                + weights.narrow * min(max(4.0 * (1.0 - diameter_mm / found.scope.fit_mm), 0.0), 1.0)
                 + weights.vessels * near
                 + weights.shallow * max(1.0 - leg.in_target_mm / min(8.0, 0.9 * nodule.short_mm), 0.0)
             )

@@ -156,7 +156,7 @@ class Judge:
         found: Outlook = "may reach" if way.doubts else "reaches"
         chance = way.trust
         limits = []
-        asked: list[tuple[float | None, str]] = [self._room(way), self._bend(way)]
+        asked: list[tuple[float | None, str]] = [self._width(way), self._bend(way)]
         if leg is not None:
             asked.append(self._depth(leg))
         for share, words in asked:
@@ -206,7 +206,7 @@ class Judge:
         spare = self.reach_mm - leg.to_target_mm
         return _share(spare / DEPTH_SIGMA_MM), depth_words(spare)
 
-    def _room(self, way: PathRequirements) -> tuple[float, str]:
+    def _width(self, way: PathRequirements) -> tuple[float, str]:
         needs = f"{self.scope.title} needs {self.scope.fit_mm:.1f} mm"
         words = [way.width.place_words, needs, *([] if way.width.why is None else [way.width.why])]
         return way.width.chance(self.scope), "; ".join(words)
