@@ -276,7 +276,7 @@ class TrainingHandlers(CommandHandlers):
             if attempt is None or attempt.is_paused == command.paused:
                 return
             if command.paused:
-                # The time before the pause belongs to the attempt.
+                # The pause stops the clock, so the time since the last sample must be recorded before it.
                 attempt.sample(case.navigator.pose, self.core.clock())
                 attempt.pause(self.core.clock())
                 self._recorder.pause()
