@@ -203,6 +203,6 @@ async def _to_its_end(work: Coroutine[Any, Any, bytes]) -> bytes:
         return await asyncio.shield(task)
     except asyncio.CancelledError:
         await asyncio.wait({task})
-        # The exception is read because asyncio would log an exception that nobody has read.
+        # The exception is read because asyncio logs an exception that is never read.
         task.exception()
         raise

@@ -232,7 +232,7 @@ def _with_data_file_names(upload: _Upload, header: Path) -> Path:
                     return header
             if wanted.upper() == "LOCAL":
                 return header
-        # Such a header contains a list or a number pattern of file names, so the files must have their original names.
+        # A header with a list or a number pattern of file names refers to the original names, so they are restored.
         for path, (relative, _) in upload.own.items():
             back = upload.folder / relative
             create_folders(back.parent, private=True)

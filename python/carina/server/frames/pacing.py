@@ -88,7 +88,7 @@ class _PacedView:
         return self.width * self.height
 
     def is_moving(self, now_s: float) -> bool:
-        # Compared with still_s: the rounding of a difference could end the movement just before the wake-up time.
+        # The wake-up time is still_s, so this value is compared: a rounded difference could end the movement earlier.
         return now_s < self.still_s
 
     @property
