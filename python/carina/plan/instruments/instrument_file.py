@@ -1,4 +1,4 @@
-"""Reader of the user's own JSON files; each error states the field, the expected and the found value."""
+"""Reader of JSON files that a user writes; each error states the field, the expected and the found value."""
 
 from __future__ import annotations
 

@@ -78,8 +78,9 @@ _CRYO_19 = "cryobiopsy with 1.1 and 1.9 mm probes: J Bras Pneumol 2022, PMC99703
 _CRYO_17 = "cryobiopsy with 1.1 and 1.7 mm probes: Respir Res 2024, doi 10.1186/s12931-024-02700-w"
 _DIAMETER = "diameter s, rest k"
 
-# The loss of flexion is unknown for all tools: it was measured for few scopes and only between tools. A forceps took up
-# to 20.5 degrees more than a needle or a catheter (abstract in referencecitationanalysis.com, 5.1 and 6.2 mm scopes).
+# No tool has a value for the loss of flexion: publications compare tools with each other, in few scopes. A forceps
+# reduced the flexion by up to 20.5 degrees more than a needle or a catheter (abstract in referencecitationanalysis.com,
+# 5.1 and 6.2 mm scopes).
 _TOOLS = (
     Tool("needle-21g", "Aspiration needle, 21 G", 1.8, 15.0, True, 15.0, "k"),
     Tool("needle-19g", "Aspiration needle, 19 G", 1.9, 15.0, True, 15.0, "k"),

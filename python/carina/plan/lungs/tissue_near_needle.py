@@ -224,7 +224,7 @@ def _lung(coarse: NDArray[np.float32]) -> Mask:
 
 
 def _ignore_share(_share: float) -> None:
-    """Ignore a progress report; used where the caller wants no progress."""
+    """Ignore a progress report; the default for callers without a progress display."""
 
 
 def _seen(box: Box, nodule: Nodule | None, wall: WallField, on_share: OnShare = _ignore_share) -> NearbyTissue:

@@ -224,7 +224,7 @@ def _seen_through(outline: NDArray[np.bool_], camera: Pose, axis_lps: Points, wa
     for point in axis_lps:
         column, row = (int(v) for v in pixel_at(camera, point, outline.shape[0]))
         depth = float(np.linalg.norm(walls_lps[row, column] - camera.position_lps))
-        # The depth is not a number where no wall is near.
+        # The depth is NaN where the ray meets no near wall; a point in front of it counts as seen.
         if inner[row, column] and not float(np.linalg.norm(point - camera.position_lps)) > depth:
             found.append(point)
         elif found:

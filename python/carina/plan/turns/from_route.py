@@ -381,7 +381,7 @@ def _eye(way: Points, fork: _Fork, stand: float, walls: ForkWalls) -> Points:
     end = fork.mother.points[-1]
     if float(np.linalg.norm(end - eye)) > SAME_PLACE_MM:
         return eye
-    # The route begins at this fork: the camera looks from the opposite side of the branches' middle.
+    # The route begins at this fork, so no airway leads to it: the camera is behind the fork, opposite to its branches.
     ahead = np.mean([mouth - end for mouth in walls.mouths_lps], axis=0)
     length = float(np.linalg.norm(ahead))
     ahead = ahead / length if length > 0.0 else np.array([0.0, 0.0, -1.0])
