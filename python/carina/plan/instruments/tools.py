@@ -14,7 +14,7 @@ from typing import Any
 
 from carina.display import one_line
 from carina.errors import UsageError
-from carina.plan.instruments.instrument_file import OwnFile
+from carina.plan.instruments.instrument_file import UserFile
 from carina.scopes import ScopePreset
 
 DEFAULT_TOOL = "needle-21g"
@@ -164,7 +164,7 @@ def tool_from_file(path: str | Path) -> Tool:
         If the file cannot be read or contains impossible values. The message states the file, the field, the expected
         and the found value (code ``plan.own-file``).
     """
-    return _tool(OwnFile.read(path))
+    return _tool(UserFile.read(path))
 
 
 def tool_from_json(document: Any, *, where: str = "tool") -> Tool:
@@ -180,10 +180,10 @@ def tool_from_json(document: Any, *, where: str = "tool") -> Tool:
     >>> tool_from_json(tool("brush").to_json()) == tool("brush")
     True
     """
-    return _tool(OwnFile(where, document))
+    return _tool(UserFile(where, document))
 
 
-def _tool(file: OwnFile) -> Tool:
+def _tool(file: UserFile) -> Tool:
     file.check(FORMAT, VERSION, [one.name for one in fields(Tool)])
     return Tool(
         file.text("name"),
