@@ -106,7 +106,7 @@ class CentrelinePoints:
         widths: dict[int, Any] = {}
         for one in dict.fromkeys(self._origins.values()):
             whole = widths_on_the_way(tree, wall, measures, spacing_mm, one)
-            widths |= {branch: whole[branch] for branch, own in self._origins.items() if own == one}
+            widths |= {branch: whole[branch] for branch, branch_origin in self._origins.items() if branch_origin == one}
         self._bends: dict[int, tuple[Points, Points, Points]] = {}
         self._doubts: dict[int, tuple[str, ...]] = {}
 
@@ -254,12 +254,12 @@ class ScopePositions(CentrelinePoints):
         finer = copy.copy(self)
         of: dict[str, list[Any]] = {name: [] for name in _COLUMNS}
         for branch, wanted in at.items():
-            own = np.flatnonzero(self.branch == branch)
-            along = self.along_mm[own]
+            rows = np.flatnonzero(self.branch == branch)
+            along = self.along_mm[rows]
             mm = np.unique(np.clip(np.concatenate(wanted), along[0], along[-1]))
-            high = np.clip(np.searchsorted(along, mm), 1, len(own) - 1)
+            high = np.clip(np.searchsorted(along, mm), 1, len(rows) - 1)
             share = ((mm - along[high - 1]) / np.maximum(along[high] - along[high - 1], 1e-9))[:, None]
-            before, after = own[high - 1], own[high]
+            before, after = rows[high - 1], rows[high]
             forward = (1.0 - share) * self.forward[before] + share * self.forward[after]
             of["points"].append((1.0 - share) * self.points[before] + share * self.points[after])
             of["forward"].append(forward / np.maximum(np.linalg.norm(forward, axis=1, keepdims=True), 1e-9))
@@ -303,18 +303,22 @@ class ScopePositions(CentrelinePoints):
         """
         branch, _, _ = self._tree.nearest_branch(self.nodule.centre_lps)
         lobes = branch_side_and_lobe(self._tree)
-        own = lobes[branch.id]
-        lower = LOWER_LOBES.get(own or "")
+        nearest_lobe = lobes[branch.id]
+        lower = LOWER_LOBES.get(nearest_lobe or "")
         gap_mm: dict[str, float] = {}
         for one in self._tree.branches if lower is not None else ():
             lobe = lobes[one.id]
-            if lobe in {own, lower} and lobe is not None and len(one.points):
+            if lobe in {nearest_lobe, lower} and lobe is not None and len(one.points):
                 gap_mm[lobe] = min(gap_mm.get(lobe, math.inf), float(self.nodule.distance_mm(one.points).min()))
-        if lower is None or own is None or gap_mm.get(lower, math.inf) > gap_mm.get(own, 0.0) + EITHER_LOBE_MM:
-            return default_movement(own)
+        if (
+            lower is None
+            or nearest_lobe is None
+            or gap_mm.get(lower, math.inf) > gap_mm.get(nearest_lobe, 0.0) + EITHER_LOBE_MM
+        ):
+            return default_movement(nearest_lobe)
         note = (
-            f"airways of {own} and {lower} are about equally near to the target, which may be in either lobe or across "
-            f"the fissure; the larger movement, that of {lower}, is used"
+            f"airways of {nearest_lobe} and {lower} are about equally near to the target, which may be in either lobe "
+            f"or across the fissure; the larger movement, that of {lower}, is used"
         )
         return replace(default_movement(lower), notes=(note,))
 
@@ -360,8 +364,8 @@ def _along(tree: AirwayTree) -> dict[int, Points]:
     along: dict[int, Points] = {}
     # Parents precede their children in the tree.
     for branch in tree.branches:
-        own = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(branch.points, axis=0), axis=1))])
-        along[branch.id] = own if branch.parent is None else own + along[branch.parent][-1]
+        branch_mm = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(branch.points, axis=0), axis=1))])
+        along[branch.id] = branch_mm if branch.parent is None else branch_mm + along[branch.parent][-1]
     return along
 
 
