@@ -266,23 +266,23 @@ def _airway_frames(points: Points, mm: NDArray[np.float64], apex_mm: float) -> P
     numbers = np.arange(len(mm))
     # The averaging window is narrower near the ends of the airway, so that its middle stays the averaged point.
     reach = np.minimum(np.minimum(numbers, numbers[::-1]), max(int(LOOK_MM / step), 0))
-    looks = sums[numbers + reach + 1] - sums[numbers - reach]
-    norms = np.linalg.norm(looks, axis=1)
+    forwards = sums[numbers + reach + 1] - sums[numbers - reach]
+    norms = np.linalg.norm(forwards, axis=1)
     # A mean direction of length 0 needs opposite directions at a fork, which only defective points have.
-    looks = np.where((norms > 1e-9)[:, None], looks / np.maximum(norms, 1e-12)[:, None], distal)
-    return _with_up_directions(np.asarray(looks, dtype=np.float64))
+    forwards = np.where((norms > 1e-9)[:, None], forwards / np.maximum(norms, 1e-12)[:, None], distal)
+    return _with_up_directions(np.asarray(forwards, dtype=np.float64))
 
 
-def _with_up_directions(looks: Points) -> Points:
+def _with_up_directions(forwards: Points) -> Points:
     """Return camera axes for viewing directions: level if all are far from the anterior axis, else untwisted."""
-    level = bool((np.abs(looks @ ANTERIOR_LPS) < LEVEL_LIMIT).all())
-    frames = np.empty((len(looks), 3, 3))
-    up = upright(looks[0])
-    for n, look in enumerate(looks):
+    level = bool((np.abs(forwards @ ANTERIOR_LPS) < LEVEL_LIMIT).all())
+    frames = np.empty((len(forwards), 3, 3))
+    up = upright(forwards[0])
+    for n, forward in enumerate(forwards):
         # The up direction is transported without twist; where the horizon is level, it is computed again.
-        up = upright(look) if level else up - float(up @ look) * look
+        up = upright(forward) if level else up - float(up @ forward) * forward
         up = up / np.linalg.norm(up)
-        frames[n] = np.column_stack([np.cross(-up, look), -up, look])
+        frames[n] = np.column_stack([np.cross(-up, forward), -up, forward])
     return frames
 
 
@@ -298,13 +298,13 @@ def _turned_level(a: Points, b: Points, share: float) -> Points:
     if sine < 1e-6:
         return orthonormal(a @ rotation_from_vector(share * shortest))
     angle = math.atan2(sine, cosine)
-    looks = np.array([rotation_from_vector(axis / sine * angle * t) @ a[:, 2] for t in np.linspace(0.0, 1.0, 9)])
-    if not (np.abs(looks @ ANTERIOR_LPS) < LEVEL_LIMIT).all():
+    forwards = np.array([rotation_from_vector(axis / sine * angle * t) @ a[:, 2] for t in np.linspace(0.0, 1.0, 9)])
+    if not (np.abs(forwards @ ANTERIOR_LPS) < LEVEL_LIMIT).all():
         return orthonormal(a @ rotation_from_vector(share * shortest))
-    look = rotation_from_vector(axis / sine * angle * share) @ a[:, 2]
+    forward = rotation_from_vector(axis / sine * angle * share) @ a[:, 2]
     roll_a, roll_b = _roll(a), _roll(b)
     roll = roll_a + share * math.remainder(roll_b - roll_a, math.tau)
-    return orthonormal(_with_up_directions(look[None])[0] @ rotation_from_vector(np.array([0.0, 0.0, roll])))
+    return orthonormal(_with_up_directions(forward[None])[0] @ rotation_from_vector(np.array([0.0, 0.0, roll])))
 
 
 def _roll(rotation: Points) -> float:

@@ -43,11 +43,11 @@ def pose_before_airways(volume: Volume) -> Pose:
 def pose_at_root(airways: Airways) -> Pose:
     """Return the pose at the root that looks along the first branch; anterior is up (operator at the head)."""
     root = airways.tree.root
-    look = root.points[-1] - root.points[0]
+    direction = root.points[-1] - root.points[0]
     at = [float(v) for v in airways.root_lps]
-    if float(np.linalg.norm(look)) < 1e-6:
+    if float(np.linalg.norm(direction)) < 1e-6:
         return Pose.looking(at, CAUDAL_LPS)
-    return Pose.looking(at, [float(v) for v in look])
+    return Pose.looking(at, [float(v) for v in direction])
 
 
 def pose_before_place(
@@ -88,8 +88,8 @@ def pose_before_place(
             break
     if stand is None:
         stand = way.points_lps[0]
-    look = place - stand
-    return None if float(np.linalg.norm(look)) < 1e-3 else Pose.looking(stand, look)
+    direction = place - stand
+    return None if float(np.linalg.norm(direction)) < 1e-3 else Pose.looking(stand, direction)
 
 
 def _is_in_view(
