@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carina.display import one_line
-from carina.display.progress import ProgressChoice, progress_function, share_function, shows_progress
+from carina.display.progress import ProgressChoice, fraction_callback, progress_function, shows_progress
 from carina.errors import CancelledError, UsageError, check_type
 from carina.plan.instruments.tools import DEFAULT_TOOL, Tool
 from carina.plan.instruments.tools import tool as tool_named
@@ -189,24 +189,24 @@ def reach_atlas(
     preset = scope_preset(scope) if isinstance(scope, str) else scope
     used = tool_named(tool) if isinstance(tool, str) else tool
 
-    on_share = share_function(progress_function(progress), "going through all airways")
+    on_progress = fraction_callback(progress_function(progress), "going through all airways")
 
-    def say(share: float) -> None:
+    def report(fraction: float) -> None:
         if cancel is not None and cancel():
             raise CancelledError("the atlas was cancelled")
-        if on_share is not None:
-            on_share(share)
+        if on_progress is not None:
+            on_progress(fraction)
 
-    say(0.0)
+    report(0.0)
     if not math.isfinite(used.reach_mm):
         raise UsageError(f"{used.title}: expected a reach in mm; found {used.reach_mm}", code="plan.tool")
     wall = wall_field(volume, airways, cancel=cancel) if wall is None else wall
-    say(0.2)
+    report(0.2)
     box = lung_box(volume)
     lung = np.ascontiguousarray(lung_grid(box)[0])
     matrix = np.array(box.lps_from_ijk, dtype=np.float64)
     matrix[:3, :3] *= STEP_MM / box.step_mm
-    say(0.4)
+    report(0.4)
     measures = measures_of(volume, airways, measures, cancel=cancel)
     centreline = CentrelinePoints(airways.tree, wall, measures=measures, spacing_mm=max(volume.spacing_mm))
     judge = Judge(preset, 0.0, ScoreWeights(), used.reach_mm, used)
@@ -227,9 +227,9 @@ def reach_atlas(
         if why is not None or (last is not None and last[0] == branch_id and along_mm - last[1] < APART_MM):
             continue
         last = branch_id, along_mm
-        say(0.4 + 0.6 * n / len(centreline.points))
+        report(0.4 + 0.6 * n / len(centreline.points))
         marks.add(StandingPlace(branch_id, along_mm, centreline.points[n], centreline.forward[n]), RANK[outlook])
-    say(1.0)
+    report(1.0)
     return ReachAtlas(preset, used, marks.reach_zyx, lung, matrix, tip_mm, why)
 
 

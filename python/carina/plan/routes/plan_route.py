@@ -458,7 +458,7 @@ def draft_plan(
     request
         Volume, airways, target and options.
     report
-        Receives the share done, 0 to 1; it may raise an error to stop the work.
+        Receives the completed fraction, 0 to 1; it may raise an error to stop the work.
     cancel
         As for `carina.plan_route`.
     """
@@ -737,12 +737,12 @@ def _route(
 
 
 class CancellableProgress:
-    """Callable that reports the share done, and stops the computation at a request to cancel.
+    """Callable that reports the completed fraction, and stops the computation at a request to cancel.
 
     Parameters
     ----------
-    on_share
-        Receives the share done, 0 to 1; None reports nothing.
+    on_progress
+        Receives the completed fraction, 0 to 1; None reports nothing.
     cancel
         Returns True to stop; None never stops.
     stopped
@@ -750,16 +750,16 @@ class CancellableProgress:
     """
 
     def __init__(
-        self, on_share: Callable[[float], None] | None, cancel: Callable[[], bool] | None, stopped: str
+        self, on_progress: Callable[[float], None] | None, cancel: Callable[[], bool] | None, stopped: str
     ) -> None:
-        self._on_share, self._cancel, self._stopped = on_share, cancel, stopped
+        self._on_progress, self._cancel, self._stopped = on_progress, cancel, stopped
 
-    def __call__(self, share: float) -> None:
-        """Report the share done; raise :class:`carina.errors.CancelledError` at a request to cancel."""
+    def __call__(self, fraction: float) -> None:
+        """Report the completed fraction; raise :class:`carina.errors.CancelledError` at a request to cancel."""
         if self._cancel is not None and self._cancel():
             raise CancelledError(self._stopped)
-        if self._on_share is not None:
-            self._on_share(share)
+        if self._on_progress is not None:
+            self._on_progress(fraction)
 
 
 def is_at(route: PlannedRoute, place: RoutePlace | None) -> bool:

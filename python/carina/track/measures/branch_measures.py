@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from carina._core import cast_sections
 from carina.argument_checks import check_arguments, function, instance
 from carina.display import one_line
-from carina.display.progress import ProgressChoice, progress_function, share_function, shows_progress
+from carina.display.progress import ProgressChoice, fraction_callback, progress_function, shows_progress
 from carina.display.tables import Columns, Tabular, columns_of
 from carina.errors import CancelledError, UsageError
 from carina.track.find.result import Airways
@@ -627,7 +627,7 @@ def _cast(
         wall_rise=scale.span(WALL_RISE_HU),
         noise=noise,
         cancel=cancel,
-        progress=share_function(progress, "measuring the airways", 0.0, 0.95),
+        progress=fraction_callback(progress, "measuring the airways", 0.0, 0.95),
     )
 
 
