@@ -33,7 +33,7 @@ SLAB = 48
 SPUR_MM = 2.0
 """Minimum length in mm of a vessel branch beyond the surface of its parent; a shorter one is a bump of the parent."""
 MAX_BRANCHES = 4000
-LOOK_EVERY = 20_000
+REPORT_INTERVAL = 20_000
 """Number of processed voxels after which progress is reported."""
 
 
@@ -219,7 +219,7 @@ def grow_tree(
     ways: list[NDArray[np.intp]] = []
     whole = True
     for num, start in enumerate(order):
-        if on_progress is not None and num % LOOK_EVERY == 0:
+        if on_progress is not None and num % REPORT_INTERVAL == 0:
             on_progress(num / len(order))
         if owner.reshape(-1)[start] >= 0:
             continue

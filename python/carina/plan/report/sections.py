@@ -47,7 +47,7 @@ MAX_LINES_BEFORE_TREE = 4
 """Maximum number of lines of reasons with which the tree fits on the first page, also on Letter in a wide typeface."""
 TREE_BELOW_TARGET, TREE_ALONE = 110.0, 330.0
 """Height of the tree in points, on the first page and on a separate page."""
-NOT_ASKED = "\u2013"
+NOT_EXAMINED = "\u2013"
 """Symbol in a table of checks for a check that was not made, because the result of another check decides."""
 ANSWERS = {"yes": "yes", "perhaps": "perhaps", "no": "no", "unknown": "?"}
 
@@ -370,14 +370,14 @@ def _verdicts(sheet: PlanSheet) -> list[Section]:
             (
                 one.scope.title,
                 f"{one.outcome}{chance}",
-                *(answers.get(name, NOT_ASKED) for name in CHECKS),
+                *(answers.get(name, NOT_EXAMINED) for name in CHECKS),
                 one.words.removeprefix(f"{one.outcome}: "),
             )
         )
     head = ("Instrument", "Verdict", "Width", "Bend", "Length", "Channel", "Drive", "Aim", "What decides")
     shares = (0.17, 0.11, 0.075, 0.075, 0.07, 0.085, 0.075, 0.075, 0.265)
     text = (
-        f"On this route, with {sheet.plan.tool.title}. ?: not known; {NOT_ASKED}: not examined, since another check "
+        f"On this route, with {sheet.plan.tool.title}. ?: not known; {NOT_EXAMINED}: not examined, since another check "
         "decides. The figures behind each answer, and what they rest on, are listed at the end."
     )
     return [

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 CAUDAL_LPS = (0.0, 0.0, -1.0)
 # Distances, in mm, of the camera before a point; the largest one with a free line of sight is used.
-STAND_BACK_MM = (12.0, 10.0, 8.0, 6.0, 4.0, 3.0, 2.0)
+DISTANCES_MM = (12.0, 10.0, 8.0, 6.0, 4.0, 3.0, 2.0)
 # Length of the line of sight before the point, in mm, that is not tested: the point may be in the wall.
 WALL_MM = 1.5
 
@@ -79,7 +79,7 @@ def pose_before_place(
     way = tree.route_to(branch_id)
     at = int(np.argmin(np.linalg.norm(way.points_lps - place, axis=1)))
     stand = None
-    for back_mm in STAND_BACK_MM:
+    for back_mm in DISTANCES_MM:
         along_mm = way.cumulative_mm[at] - back_mm
         if along_mm < 0.0:
             continue
