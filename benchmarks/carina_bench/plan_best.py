@@ -50,7 +50,7 @@ MIN_HITS, BARELY_HITS = 0.5, 0.1
 """Shares of needles that hit: below the first the outlook is *may reach*, below the second *does not reach*."""
 NUM_TARGETS = 2
 """Number of targets of each phantom for which Carina's first route is compared with the best one."""
-PLACES_MM, WALK_MM, FINE_MM = 0.35, 0.1, 0.5
+POSITION_STEP_MM, WALK_MM, FINE_STEP_MM = 0.35, 0.1, 0.5
 """Distance between two tested points of a centreline, step along a needle, and step of simulated needles, mm."""
 NUM_NEEDLES = 6000
 """Number of needles with random errors that are simulated at each tested scope position."""
@@ -186,7 +186,7 @@ def _places(
     )
     at_branch = np.gradient(branch.points, axis=0)
     own_along = along[first : first + len(branch.points)]
-    for mm in np.arange(along[first], along[-1] + 1e-6, PLACES_MM):
+    for mm in np.arange(along[first], along[-1] + 1e-6, POSITION_STEP_MM):
         point = np.array([np.interp(mm, along, points[:, axis]) for axis in range(3)])
         # Points far from the target are skipped before the path's width and bend are computed, which is slow.
         if not near(point):
@@ -291,7 +291,7 @@ def _drawn(nodule: Nodule, tip: Floats, aim: Floats, reach_mm: float, rng: np.ra
     off = np.linalg.norm(spread, axis=1, keepdims=True)
     ways = np.cos(off) * along / distance + np.sin(off) * (spread / np.maximum(off, 1e-12)) @ basis[1:]
     hit = np.zeros(NUM_NEEDLES, dtype=bool)
-    for mm in np.arange(0.0, reach_mm + 1e-9, FINE_MM):
+    for mm in np.arange(0.0, reach_mm + 1e-9, FINE_STEP_MM):
         left = ~hit
         hit[left] = nodule.contains(tips[left] + mm * ways[left])
     return float(hit.mean())

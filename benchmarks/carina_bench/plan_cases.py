@@ -72,7 +72,7 @@ class TrueTree:
     def of(cls, branches: list[tuple[Floats, Floats, int]]) -> TrueTree:
         """Return the tree of branches, each given by points, radii and the parent's index; parents come first."""
         points, forward, radii, narrowest, numbers = [], [], [], [], []
-        room: list[float] = []
+        diameter_mm: list[float] = []
         with_children = {parent for _, _, parent in branches}
         for number, (line, radius, parent) in enumerate(branches):
             even, own = _even(line, radius)
@@ -82,8 +82,8 @@ class TrueTree:
             if parent >= 0:
                 # A branch that is shorter than wide is inside the lumens of its neighbours, so it does not narrow the
                 # path.
-                wide = np.minimum(np.inf if is_stub else wide, np.full(len(own), room[parent]))
-            room.append(float(wide[-1]))
+                wide = np.minimum(np.inf if is_stub else wide, np.full(len(own), diameter_mm[parent]))
+            diameter_mm.append(float(wide[-1]))
             points.append(even)
             forward.append(ahead / np.maximum(np.linalg.norm(ahead, axis=1, keepdims=True), 1e-9))
             radii.append(own)

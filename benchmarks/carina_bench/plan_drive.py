@@ -35,7 +35,7 @@ Points = NDArray[np.float64]
 
 SPACING_MM = 0.8
 """Spacing of the simulated CT from which widths are measured, mm."""
-ROOM_SHARE = 0.2
+MESH_ERROR_SHARE = 0.2
 """Standard deviation of the error of a measured narrowest diameter, as a share of the CT's voxel spacing."""
 WIDE_MM, NARROW_FROM_MM, LENGTH_MM = 4.2, 55.0, 110.0
 """Radius of the wide part of a tube, distance at which the narrow part begins, and length of the tube, mm."""
@@ -110,30 +110,30 @@ def drive_in_a_tube(rng: np.random.Generator, kind: str) -> TubeDrive:
     ``kind`` is the value that has the error: ``diameter``, ``bend`` or ``fork``.
     """
     scope = scope_preset("ultrathin")
-    sigma = math.hypot(ROOM_SHARE * SPACING_MM, EXCESS_SIGMA_MM)
+    sigma = math.hypot(MESH_ERROR_SHARE * SPACING_MM, EXCESS_SIGMA_MM)
     bend_deg, bend_radius_mm = (8.0, 90.0) if kind == "diameter" else (rng.uniform(50.0, 110.0), 22.0)
     if kind == "fork":
         bend_deg, bend_radius_mm = rng.uniform(40.0, 80.0), 12.0
     spare_mm = {"diameter": sigma * rng.uniform(-1.8, 1.8), "bend": 1.6, "fork": 3.0}[kind]
-    room_mm = scope.fit_mm + spare_mm
+    diameter_mm = scope.fit_mm + spare_mm
     if kind != "diameter":
         bend_limit_deg = min(bend_deg, math.degrees(50.0 / bend_radius_mm))
         lever = bend_limit_deg + BEND_SIGMA_DEG * rng.uniform(-1.8, 1.8)
         scope = replace(scope, flexion_deg=(lever, lever))
-    tree, field, points = _tube(0.5 * room_mm, bend_deg, bend_radius_mm, forks=kind == "fork")
+    tree, field, points = _tube(0.5 * diameter_mm, bend_deg, bend_radius_mm, forks=kind == "fork")
     way = DriveWay(tree, _route(1, points[-16], 0.5 * (len(points) - 16)), field)
     if kind == "diameter":
-        error_mm = DEVIATIONS_90 * ROOM_SHARE * SPACING_MM
-        stated = diameter_check(RouteWidth(room_mm, error_mm, 50.0), scope, errors=True).share
-        true_room_mm = room_mm + rng.normal(0.0, ROOM_SHARE * SPACING_MM)
+        error_mm = DEVIATIONS_90 * MESH_ERROR_SHARE * SPACING_MM
+        stated = diameter_check(RouteWidth(diameter_mm, error_mm, 50.0), scope, errors=True).share
+        true_diameter_mm = diameter_mm + rng.normal(0.0, MESH_ERROR_SHARE * SPACING_MM)
         driven = replace(scope, tip_mm=scope.tip_mm + FIT_MARGIN_MM + rng.normal(0.0, EXCESS_SIGMA_MM))
-        radius_mm = 0.5 * true_room_mm
+        radius_mm = 0.5 * true_diameter_mm
         # Between its samples, the wall field makes a narrow tube up to 0.4 mm too narrow, so the tube is widened
         # until its width in the field is the drawn width.
         for _ in range(3):
             _, field, _ = _tube(radius_mm, bend_deg, bend_radius_mm)
             way = DriveWay(tree, _route(1, points[-16], 0.5 * (len(points) - 16)), field)
-            radius_mm += 0.5 * (true_room_mm - way.wall_room_mm)
+            radius_mm += 0.5 * (true_diameter_mm - way.passable_diameter_mm)
     else:
         figures = bend_check(way, scope, errors=True)
         found = search_drive(way, field, scope, effort=TUBE_EFFORT)

@@ -182,15 +182,15 @@ def find_hold(
         hopeful = is_wanted(tips, forward)
         base, shape = np.nonzero(hopeful)
         chains = shapes.chains(shape, bases[base], axes[base])
-        room = limits.room_mm(chains)
-        for k in np.flatnonzero(room >= 0.0):
+        clearance = limits.clearance_mm(chains)
+        for k in np.flatnonzero(clearance >= 0.0):
             tip, ahead = tips[base[k], shape[k]], forward[base[k], shape[k]]
             share = hits(tip, ahead)
             if share >= MIN_HITS:
                 return Hold(tip, ahead, share, int(truth.branch[n]), float(truth.narrowest_mm[n]))
-        if len(room) and room.max() >= -NEARLY_MM:
-            best = int(np.argmax(room))
-            nearly.append((-float(room[best]), n, chains.rows(np.array([best]))))
+        if len(clearance) and clearance.max() >= -NEARLY_MM:
+            best = int(np.argmax(clearance))
+            nearly.append((-float(clearance[best]), n, chains.rows(np.array([best]))))
     nearly.sort(key=lambda one: one[:2])
     for _, n, chain in nearly[:NUM_REFINED]:
         found = _refined(limits, chain, truth.forward[n], is_wanted, hits)
@@ -298,31 +298,31 @@ class _Limits:
     section_mm: float
     sharpest: float
 
-    def room_mm(self, chains: _Chains) -> Floats:
+    def clearance_mm(self, chains: _Chains) -> Floats:
         """Return the least distance in mm between the scope's surface and the wall, for each shape of the scope.
 
         A negative distance is the depth of the scope in the wall. If a shape is deeper than `NEARLY_MM` in the wall at
         one place, its other places are not examined, so its distance is only an upper limit.
         """
         tips, forward = chains.ends()
-        room = self.lumen.at(tips) + YIELD_MM
+        clearance = self.lumen.at(tips) + YIELD_MM
         # A ball round a point less than a radius behind the face would extend beyond the face, so the face's rim is
         # tested.
         for at_mm in np.arange(min(self.radius, chains.rigid_mm), chains.rigid_mm + 1e-6, CHAIN_STEP_MM):
-            left = np.flatnonzero(room >= -NEARLY_MM)
-            self._lower(room, left, (tips[left] - at_mm * forward[left])[:, None], self.radius)
-        left = np.flatnonzero(room >= -NEARLY_MM)
-        self._lower(room, left, chains.rows(left).arcs(), self.radius)
-        left = np.flatnonzero(room >= -NEARLY_MM)
+            left = np.flatnonzero(clearance >= -NEARLY_MM)
+            self._lower(clearance, left, (tips[left] - at_mm * forward[left])[:, None], self.radius)
+        left = np.flatnonzero(clearance >= -NEARLY_MM)
+        self._lower(clearance, left, chains.rows(left).arcs(), self.radius)
+        left = np.flatnonzero(clearance >= -NEARLY_MM)
         behind = np.arange(0.0, BEHIND_MM + 1e-6, CHAIN_STEP_MM)[None, :, None]
-        self._lower(room, left, chains.base[left, None] - behind * chains.shaft[left, None], self.radius)
-        left = np.flatnonzero(room >= -NEARLY_MM)
-        self._lower(room, left, _rims(tips[left], forward[left], self.radius), 0.0)
-        return room
+        self._lower(clearance, left, chains.base[left, None] - behind * chains.shaft[left, None], self.radius)
+        left = np.flatnonzero(clearance >= -NEARLY_MM)
+        self._lower(clearance, left, _rims(tips[left], forward[left], self.radius), 0.0)
+        return clearance
 
-    def _lower(self, room: Floats, rows: NDArray[np.intp], points: Floats, radius: float) -> None:
+    def _lower(self, clearance: Floats, rows: NDArray[np.intp], points: Floats, radius: float) -> None:
         if len(rows):
-            room[rows] = np.minimum(room[rows], self.lumen.at(points).min(axis=-1) - radius + YIELD_MM)
+            clearance[rows] = np.minimum(clearance[rows], self.lumen.at(points).min(axis=-1) - radius + YIELD_MM)
 
 
 def _refined(
@@ -346,21 +346,21 @@ def _refined(
         Function of a tip and a direction (3,) that returns the share of needles that hit.
     """
     rng = np.random.default_rng(11)
-    worth, scale = (min(float(limits.room_mm(chain)[0]), 0.0), 0.0), 1.0
+    worth, scale = (min(float(limits.clearance_mm(chain)[0]), 0.0), 0.0), 1.0
     for _ in range(ROUNDS):
         tried = chain.changed(rng, scale, limits.sharpest, limits.section_mm)
         scale *= SHRINK
         allowed = is_wanted(*tried.ends()) & (tried.shaft @ airway >= math.cos(math.radians(max(TILTS_DEG))))
         tried = tried.rows(np.flatnonzero(allowed))
-        room, (tips, forward) = np.minimum(limits.room_mm(tried), 0.0), tried.ends()
-        for k in np.argsort(-room):
-            if room[k] < worth[0]:
+        clearance, (tips, forward) = np.minimum(limits.clearance_mm(tried), 0.0), tried.ends()
+        for k in np.argsort(-clearance):
+            if clearance[k] < worth[0]:
                 break
             # The needles of a chain that does not fit are not counted, because the chain first has to fit.
-            share = hits(tips[k], forward[k]) if room[k] >= 0.0 else 0.0
-            if (float(room[k]), share) > worth:
-                worth, chain = (float(room[k]), share), tried.rows(np.array([k]))
-            if room[k] >= 0.0 and share >= MIN_HITS:
+            share = hits(tips[k], forward[k]) if clearance[k] >= 0.0 else 0.0
+            if (float(clearance[k]), share) > worth:
+                worth, chain = (float(clearance[k]), share), tried.rows(np.array([k]))
+            if clearance[k] >= 0.0 and share >= MIN_HITS:
                 return tips[k], forward[k], share
     return None
 

@@ -127,10 +127,10 @@ def best_stroke(nodule: Nodule, volume: Volume, wanted_zyx: Mask) -> BrushStroke
     best, most = None, 0
     for takes_away in (False, True):
         # An added ball must lie in the boundary that the user wants, a removed ball outside.
-        room = ball_distance(~wanted if takes_away else wanted, step)
+        clearance_mm = ball_distance(~wanted if takes_away else wanted, step)
         change, keep = (inside & ~wanted, inside & wanted) if takes_away else (wanted & ~inside, ~wanted & ~inside)
         for radius_mm in BRUSHES_MM:
-            centres = room >= radius_mm - SLACK_MM
+            centres = clearance_mm >= radius_mm - SLACK_MM
             # Only balls near the error change anything, and an added ball must touch the nodule.
             centres &= (distance_from(change, step, radius_mm + step) <= radius_mm) | change
             if not takes_away:

@@ -178,8 +178,10 @@ def _room_mm(truth: TrueTree, way: Floats) -> float:
     The width of a point is at most the diameter of the true lumen there.
     """
     between = [way[:-1] + part * (way[1:] - way[:-1]) for part in np.linspace(0.0, 1.0, 6)]
-    room = [float((truth.radius_mm - np.linalg.norm(truth.points - p, axis=1)).max()) for p in np.concatenate(between)]
-    return 2.0 * min(room, default=0.0)
+    radius_mm = [
+        float((truth.radius_mm - np.linalg.norm(truth.points - p, axis=1)).max()) for p in np.concatenate(between)
+    ]
+    return 2.0 * min(radius_mm, default=0.0)
 
 
 def _true_place(truth: TrueTree, way: Floats) -> int:

@@ -79,11 +79,11 @@ def largest_balls_mm(points: Floats, wall: Floats) -> Floats:
         for shift in SHIFTS_MM:
             for _ in range(TRIES):
                 tried = middle + shift * ring
-                room = _nearest_mm(own, tried)
-                first = int(room.argmax())
-                if room[first] <= best:
+                clearance_mm = _nearest_mm(own, tried)
+                first = int(clearance_mm.argmax())
+                if clearance_mm[first] <= best:
                     break
-                middle, best = tried[first], float(room[first])
+                middle, best = tried[first], float(clearance_mm[first])
         found[n] = 2.0 * best
     return found
 

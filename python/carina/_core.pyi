@@ -639,7 +639,7 @@ def extend_thin_lumen(
     brightest: int,
     least_wall: float,
     least_dip: float,
-    kept_dip: float,
+    least_mean_dip: float,
     blur_mm: float,
     min_length_mm: float,
     min_side_mm: float,

@@ -62,8 +62,8 @@ def install_command(*requirements: str) -> str:
     if importlib.util.find_spec("pip") is not None:
         return _shell_line([python, "-m", "pip", "install", *requirements])
     checkout = _checkout()
-    own_uv = None if checkout is None else shutil.which("uv", path=str(checkout / ".uv" / "bin"))
-    uv = shutil.which("uv") or own_uv
+    checkout_uv = None if checkout is None else shutil.which("uv", path=str(checkout / ".uv" / "bin"))
+    uv = shutil.which("uv") or checkout_uv
     if uv is not None:
         return _shell_line([uv, "pip", "install", "--python", python, *requirements])
     pip = _shell_line([python, "-m", "pip", "install", *requirements])

@@ -21,19 +21,19 @@ FLIGHT = ("--to", "0", "--tree", "TREE", "--size", "32x32", "--rate", "2", "--sp
 class Full:
     """File on a disk that accepts only a limited number of bytes."""
 
-    def __init__(self, file, room: int) -> None:
-        self._file, self._room = file, room
+    def __init__(self, file, free_bytes: int) -> None:
+        self._file, self._free_bytes = file, free_bytes
 
     def __getattr__(self, name):
         return getattr(self._file, name)
 
     def write(self, data) -> int:
         size = memoryview(data).nbytes
-        if size > self._room:
-            self._file.write(memoryview(data).cast("B")[: self._room])
-            self._room = 0
+        if size > self._free_bytes:
+            self._file.write(memoryview(data).cast("B")[: self._free_bytes])
+            self._free_bytes = 0
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-        self._room -= size
+        self._free_bytes -= size
         return self._file.write(data)
 
 
@@ -135,11 +135,11 @@ def test_phantom_command_on_a_full_disk_leaves_the_three_earlier_files(carina, t
     names = ("ct.nii.gz", "lumen.nii.gz", "truth.json")
     for name in names:
         (folder / name).write_bytes(b"old")
-    plain, room = atomic_files._create_draft, iter([10**9, 10**9, 100])
+    plain, free_bytes = atomic_files._create_draft, iter([10**9, 10**9, 100])
 
     def begin(where, mode):
         file, place = plain(where, mode)
-        return Full(file, next(room)), place
+        return Full(file, next(free_bytes)), place
 
     monkeypatch.setattr(atomic_files, "_create_draft", begin)
     check(carina("phantom", "--spacing-mm", "4", "--generations", "3", "-o", folder, "--json"), "disk.full")

@@ -354,7 +354,7 @@ def test_renderer_that_cannot_load_the_scene_is_reported_once_and_tried_again(ca
     monkeypatch.setattr(made.lanes[0], "load", refuses)
     made.renderer.set_transfer(transfer_preset("paper"))
     made.renderer.prepare()
-    _wait(made, lambda: len(calls) > console_module.TELL_AFTER_LOADS + 2)
+    _wait(made, lambda: len(calls) > console_module.NOTIFY_AFTER_LOADS + 2)
     reported = [notice for notice in made.console.status().notices if "cannot load the case" in notice]
     assert reported == ["the renderer lane-0 cannot load the case (ConnectionError); Carina keeps trying"]
     monkeypatch.setattr(made.lanes[0], "load", load)

@@ -16,7 +16,7 @@ from pydicom.sequence import Sequence
 from pydicom.uid import ExplicitVRBigEndian, SecondaryCaptureImageStorage
 
 import carina
-from carina.deidentification.profile_table import ACTIONS, KEPT_TEXT
+from carina.deidentification.profile_table import ACTIONS, RETAINED_TEXT
 from carina.errors import CancelledError, CarinaError, UsageError, VolumeImportError
 
 TEXT = {"AE", "CS", "LO", "LT", "PN", "SH", "ST", "UC", "UT", "UR"}
@@ -64,7 +64,7 @@ def fill(dataset: Dataset, markers: Markers) -> None:
         if element is not None:
             dataset.add(element)
     for tag, (kind, *_) in DicomDictionary.items():  # texts, names and binary data that the table does not list
-        known = tag in ACTIONS or tag in KEPT_TEXT or tag in dataset
+        known = tag in ACTIONS or tag in RETAINED_TEXT or tag in dataset
         if (
             not known
             and tag >> 16 in (0x0010, 0x0012, 0x0018, 0x0032, 0x0038, 0x0040)

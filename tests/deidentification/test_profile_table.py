@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from carina.deidentification.profile_table import ACTIONS, KEPT_BINARY, KEPT_TEXT
+from carina.deidentification.profile_table import ACTIONS, RETAINED_BINARY, RETAINED_TEXT
 
 CODES = {
     "D_TAGS": "D",
@@ -56,4 +56,4 @@ def test_actions_equal_rows_of_the_standard(tag, action):
 
 
 def test_attributes_that_stay_are_not_in_the_table():
-    assert not (KEPT_TEXT | KEPT_BINARY) & ACTIONS.keys()
+    assert not (RETAINED_TEXT | RETAINED_BINARY) & ACTIONS.keys()

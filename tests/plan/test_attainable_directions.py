@@ -126,8 +126,8 @@ def bends_slowly(tree: AirwayTree, wall: WallField, preset: ScopePreset, place: 
             for turn in np.linspace(0.0, angle, NUM_ON_ARC)
         ]
         arc.append(arc[-1] - BEHIND_MM * back)
-        room = min(float(wall.distance_mm(one[None])[0]) for one in arc)
-        if arc_mm * angle <= bending_mm and room >= 0.5 * preset.tip_mm - SHAFT_LACK_MM:
+        clearance_mm = min(float(wall.distance_mm(one[None])[0]) for one in arc)
+        if arc_mm * angle <= bending_mm and clearance_mm >= 0.5 * preset.tip_mm - SHAFT_LACK_MM:
             return True
     return False
 

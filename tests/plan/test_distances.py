@@ -34,7 +34,7 @@ from carina.plan.routes.main_carina import (
     carina_words,
     origins_of_branches,
 )
-from carina.plan.routes.standing_points import Ways
+from carina.plan.routes.standing_points import CentrelinePoints
 from carina.server.to_wire.plan import _route, _turns, _verdict
 from carina.session import PlanningInfo
 from carina.session.derived.plans import carina_depth_mm, origin_depth_mm
@@ -212,12 +212,12 @@ def test_distances_in_a_branch_above_the_carina_are_measured_from_the_start_of_t
     assert origin.axes_mm == pytest.approx(80.0)
     origins = origins_of_branches(tree, origin)
     assert origins[1] == ROOT and all(origins[n] == origin for n in (0, 2, 3, 4))
-    ways = Ways(tree, origin=origin)
-    for n in range(len(ways.points)):
-        required = ways.asks(n, 12.0)
-        own = origins[int(ways.branch[n])]
+    centreline = CentrelinePoints(tree, origin=origin)
+    for n in range(len(centreline.points)):
+        required = centreline.requirements_at(n, 12.0)
+        own = origins[int(centreline.branch[n])]
         assert required.width.origin == own
-        start_mm, here_mm = own.past_mm(0.0), own.past_mm(float(ways.along_mm[n]))
+        start_mm, here_mm = own.past_mm(0.0), own.past_mm(float(centreline.along_mm[n]))
         assert start_mm <= required.width.at_mm <= here_mm and start_mm <= required.bend_deg.at_mm <= here_mm
     route = dataclasses.replace(route_in(tree, 1), origin=origins[1])
     assert route.from_carina_mm is None and route.place_words.endswith("mm from the start of the airway tree")

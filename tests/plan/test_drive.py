@@ -24,7 +24,7 @@ from carina.plan.routes.main_carina import ROOT, DistanceOrigin
 from carina.plan.routes.plan_route import PlannedRoute
 from carina.plan.routes.ranking import bending_mm
 from carina.plan.routes.route_width import RouteWidth
-from carina.plan.routes.standing_points import Ways
+from carina.plan.routes.standing_points import CentrelinePoints
 from carina.plan.verdict import drive_aim
 from carina.plan.verdict.checks import bend_check, length_check
 from carina.plan.verdict.drive import DrivenRoute, MoveRecorder, moves_between, replay_moves
@@ -234,7 +234,7 @@ def test_drive_and_plan_measure_the_same_distance_along_centrelines() -> None:
     assert text.startswith(f"the tip stops {past.from_carina_mm:.0f} mm past the main carina; a working length of ")
     assert text.endswith(f"leaves {slim.length_mm - past.from_carina_mm:.0f} mm from nose or mouth to the main carina")
     bend_mm = float(re.findall(r"the bend (\d+) mm", bend_check(way, slim, errors=True).words)[0])
-    limit = Ways(tree).asks(_place_of(tree, planned), bending_mm(slim)).bend_deg
+    limit = CentrelinePoints(tree).requirements_at(_place_of(tree, planned), bending_mm(slim)).bend_deg
     assert bend_mm == pytest.approx(limit.at_mm, abs=2.0)
     driven = search_drive(way, wall, slim, effort=10_000.0)
     assert driven.arrived and driven.stopped_mm == pytest.approx(planned.along_mm, abs=1.2)
@@ -244,9 +244,9 @@ def test_drive_and_plan_measure_the_same_distance_along_centrelines() -> None:
 
 
 def _place_of(tree: AirwayTree, planned: PlannedRoute) -> int:
-    ways = Ways(tree)
-    mine = np.flatnonzero(ways.branch == planned.branch_id)
-    return int(mine[np.argmin(np.abs(ways.along_mm[mine] - planned.along_mm))])
+    centreline = CentrelinePoints(tree)
+    mine = np.flatnonzero(centreline.branch == planned.branch_id)
+    return int(mine[np.argmin(np.abs(centreline.along_mm[mine] - planned.along_mm))])
 
 
 def test_simulated_scope_arrives_in_a_bent_tube_and_points_at_a_target_beside_it() -> None:

@@ -73,8 +73,10 @@ def test_hold_is_found_in_a_narrow_tube_by_small_changes_of_the_grid() -> None:
         found = find_hold(tube(1.8), one, SCOPE, REACH_MM)
         assert found is not None
         assert needle_hits(found.tip_lps, found.forward, one, REACH_MM) >= 0.5
-        room = LumenDepth(tube(1.8), found.tip_lps, 20.0).at(found.tip_lps - np.array([[2.0], [9.0]]) * found.forward)
-        assert (room >= 0.5 * SCOPE.tip_mm - YIELD_MM).all()
+        clearance_mm = LumenDepth(tube(1.8), found.tip_lps, 20.0).at(
+            found.tip_lps - np.array([[2.0], [9.0]]) * found.forward
+        )
+        assert (clearance_mm >= 0.5 * SCOPE.tip_mm - YIELD_MM).all()
 
 
 def test_tip_cannot_be_held_in_a_branch_narrower_than_the_scope_needs() -> None:

@@ -36,7 +36,7 @@ from carina.plan import (
 from carina.plan.routes.attainable_directions import StandingPlace, TipDirections
 from carina.plan.routes.plan_route import standing_apart
 from carina.plan.routes.ranking import RANK, Judge, bending_mm, order
-from carina.plan.routes.standing_points import Places
+from carina.plan.routes.standing_points import ScopePositions
 from carina.scopes import ScopePreset, WallField, scope_preset
 from carina.track import Airways, measure_tree
 from carina.volume import Volume
@@ -116,7 +116,7 @@ def test_first_route_has_the_best_score_of_all_evaluated_positions() -> None:
     weights = ScoreWeights()
     best = 0.0
     for branch in airways.tree.branches[1:]:
-        room = min(2.0 * float(one.wall_distance.min()) for one in airways.tree.lineage(branch.id)[1:])
+        diameter_mm = min(2.0 * float(one.wall_distance.min()) for one in airways.tree.lineage(branch.id)[1:])
         for point, forward in zip(branch.points, np.gradient(branch.points, axis=0), strict=True):
             if np.linalg.norm(point - nodule.centre_lps) > 40.0:
                 continue
@@ -128,7 +128,7 @@ def test_first_route_has_the_best_score_of_all_evaluated_positions() -> None:
                 weights.misses * (1.0 - leg.hit_share)
                 + weights.way * leg.outside_mm / found.tool.reach_mm
                 + weights.angle * min(leg.angle_deg / 90.0, 1.0)
-                + weights.narrow * min(max(4.0 * (1.0 - room / found.scope.fit_mm), 0.0), 1.0)
+                + weights.narrow * min(max(4.0 * (1.0 - diameter_mm / found.scope.fit_mm), 0.0), 1.0)
                 + weights.vessels * near
                 + weights.shallow * max(1.0 - leg.in_target_mm / min(8.0, 0.9 * nodule.short_mm), 0.0)
             )
@@ -147,9 +147,9 @@ def test_parking_position_of_the_first_route_is_best_also_between_evaluated_posi
     scene = NeedleScene(nodule, wall(), around, found.tool, NeedleErrors())
     judge = Judge(found.scope, 3.0, ScoreWeights(), found.tool.reach_mm)
     measures = measure_tree(cached_phantom(**CHEST).volume, airways)
-    places = Places(airways.tree, nodule, wall(), measures=measures, spacing_mm=1.1)
+    positions = ScopePositions(airways.tree, nodule, wall(), measures=measures, spacing_mm=1.1)
     directions = TipDirections(airways.tree, wall(), found.scope)
-    finer = places.beside((first.branch_id, first.along_mm + mm) for mm in np.arange(-8.0, 8.0, 0.6))
+    finer = positions.beside((first.branch_id, first.along_mm + mm) for mm in np.arange(-8.0, 8.0, 0.6))
     scores = []
     for n, (point, forward) in enumerate(zip(finer.points, finer.forward, strict=True)):
         leg = last_leg(scene, point, forward)
@@ -162,7 +162,7 @@ def test_parking_position_of_the_first_route_is_best_also_between_evaluated_posi
             leg = dataclasses.replace(leg, hit_share=0.0)
         else:
             leg = last_leg(scene, tip.tip_lps, forward, tip.tip_lps + np.linalg.norm(aim - tip.tip_lps) * tip.forward)
-        required = finer.asks(n, bending_mm(found.scope))
+        required = finer.requirements_at(n, bending_mm(found.scope))
         outlook, chance, _ = judge.outlook(required, leg)
         assert RANK[outlook] >= RANK[first.outlook]
         if outlook == first.outlook:

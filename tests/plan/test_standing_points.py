@@ -14,7 +14,7 @@ from nodules import ellipsoid
 
 from carina.plan.routes.last_leg import LastLeg
 from carina.plan.routes.ranking import RANK, Judge, ScoreWeights, bending_mm
-from carina.plan.routes.standing_points import FINE_MM, PLACES_MM, Places
+from carina.plan.routes.standing_points import FINE_STEP_MM, POSITION_STEP_MM, ScopePositions
 from carina.scopes import scope_preset
 from carina.track import AirwayTree, Branch
 
@@ -42,26 +42,26 @@ def test_required_bend_of_a_route_along_a_circular_arc_is_the_angle_of_the_arc(
     bend_deg: float, radius_mm: float
 ) -> None:
     tree = bent(bend_deg, radius_mm)
-    places = Places(
+    positions = ScopePositions(
         tree, ellipsoid((3.0, 3.0, 3.0), tree.branches[1].points[-1]), measures=exact_measures(tree, error_mm=0.28)
     )
-    required = places.asks(len(places.points) - 1, SECTION_MM)
+    required = positions.requirements_at(len(positions.points) - 1, SECTION_MM)
     # The circle is shorter than the section over which bends are measured, so both ends of a section are on straight
     # parts.
     assert math.radians(bend_deg) * radius_mm < SECTION_MM - 8.0
     assert required.bend_deg.value == pytest.approx(bend_deg, abs=1.0)
     assert 80.0 < required.bend_deg.at_mm < 80.0 + math.radians(bend_deg) * radius_mm + SECTION_MM
-    assert places.asks(len(tree.root.points) + 30, SECTION_MM).bend_deg.value < 1.0, (
+    assert positions.requirements_at(len(tree.root.points) + 30, SECTION_MM).bend_deg.value < 1.0, (
         "the route before the bend requires no bend"
     )
 
 
 def test_required_bend_does_not_decrease_along_a_route() -> None:
     tree = bent(110.0, 12.0)
-    places = Places(
+    positions = ScopePositions(
         tree, ellipsoid((3.0, 3.0, 3.0), tree.branches[1].points[-1]), measures=exact_measures(tree, error_mm=0.28)
     )
-    bends = [places.asks(n, SECTION_MM).bend_deg.value for n in range(len(places.points))]
+    bends = [positions.requirements_at(n, SECTION_MM).bend_deg.value for n in range(len(positions.points))]
     assert bends == sorted(bends)
 
 
@@ -71,12 +71,12 @@ def test_narrowest_position_of_a_route_is_where_the_lumen_is_narrow() -> None:
     radius[40:44] = 1.4
     narrowed = dataclasses.replace(tree.branches[1], radius=radius)
     tree = AirwayTree((tree.root, narrowed))
-    places = Places(tree, ellipsoid((3.0, 3.0, 3.0), narrowed.points[-1]), measures=exact_measures(tree))
-    required = places.asks(len(places.points) - 1, SECTION_MM)
+    positions = ScopePositions(tree, ellipsoid((3.0, 3.0, 3.0), narrowed.points[-1]), measures=exact_measures(tree))
+    required = positions.requirements_at(len(positions.points) - 1, SECTION_MM)
     # The narrow part is shorter than a diameter, and the narrowing is larger than the error of a section.
     assert required.width.mm == pytest.approx(2.9) and required.width.lower_mm < 2.8
     assert required.width.at_mm == pytest.approx(30.0 + 0.5 * 41.5, abs=1.1)
-    before = places.asks(len(tree.root.points) + 20, SECTION_MM)
+    before = positions.requirements_at(len(tree.root.points) + 20, SECTION_MM)
     assert before.width.mm == pytest.approx(6.0)
 
 
@@ -88,38 +88,40 @@ def test_further_positions_near_a_route_position_are_on_the_centreline_and_not_w
     tree = bent(70.0, 12.0)
     radius = np.interp(np.arange(len(tree.branches[1].points)), [0, 400], [3.0, 0.5])
     tree = AirwayTree((tree.root, dataclasses.replace(tree.branches[1], radius=radius)))
-    places = Places(
+    positions = ScopePositions(
         tree, ellipsoid((3.0, 3.0, 3.0), tree.branches[1].points[-1]), measures=exact_measures(tree, error_mm=0.28)
     )
-    own = places.branch == 1
-    along, points = places.along_mm[own], places.points[own]
+    own = positions.branch == 1
+    along, points = positions.along_mm[own], positions.points[own]
     at_mm = min(at_mm, float(along[-1]))
-    found = places.beside([(1, at_mm)])
-    assert (np.abs(found.along_mm - at_mm) <= PLACES_MM + 1e-9).all()
-    assert (np.diff(found.along_mm) <= 2.0 * FINE_MM + 1e-9).all() and len(found.along_mm) >= 4
-    assert min(at_mm + PLACES_MM, along[-1]) in found.along_mm, "up to the neighbours, or to where the branch ends"
+    found = positions.beside([(1, at_mm)])
+    assert (np.abs(found.along_mm - at_mm) <= POSITION_STEP_MM + 1e-9).all()
+    assert (np.diff(found.along_mm) <= 2.0 * FINE_STEP_MM + 1e-9).all() and len(found.along_mm) >= 4
+    assert min(at_mm + POSITION_STEP_MM, along[-1]) in found.along_mm, (
+        "up to the neighbours, or to where the branch ends"
+    )
     for n, mm in enumerate(found.along_mm):
         after = min(int(np.searchsorted(along, mm)), len(along) - 1)
         before = points[max(after - 1, 0)]
         step = points[after] - before
         assert found.points[n] == pytest.approx(before + (mm - along[max(after - 1, 0)]) / 0.5 * step, abs=0.05)
         assert np.linalg.norm(np.cross(found.points[n] - before, step)) < 1e-9
-        assert found.width[n].mm == places.width[own][after].mm
+        assert found.width[n].mm == positions.width[own][after].mm
         assert np.linalg.norm(found.forward[n]) == pytest.approx(1.0)
-    required = found.asks(0, SECTION_MM)
+    required = found.requirements_at(0, SECTION_MM)
     assert required.width.at_mm <= found.along_mm[0]
-    assert required.bend_deg.value <= places.asks(len(places.points) - 1, SECTION_MM).bend_deg.value
-    assert len(places.beside([]).points) == 0
+    assert required.bend_deg.value <= positions.requirements_at(len(positions.points) - 1, SECTION_MM).bend_deg.value
+    assert len(positions.beside([]).points) == 0
 
 
 @settings(deadline=None, max_examples=30)
 @given(tip_mm=st.floats(3.0, 7.0), more_mm=st.floats(0.01, 2.0))
 def test_thicker_scope_never_has_a_higher_chance_to_arrive(tip_mm: float, more_mm: float) -> None:
     tree = bent(90.0, 14.0)
-    places = Places(
+    positions = ScopePositions(
         tree, ellipsoid((3.0, 3.0, 3.0), tree.branches[1].points[-1]), measures=exact_measures(tree, error_mm=0.28)
     )
-    required = places.asks(len(places.points) - 1, SECTION_MM)
+    required = positions.requirements_at(len(positions.points) - 1, SECTION_MM)
     thin, thick = (
         Judge(dataclasses.replace(scope_preset("thin"), tip_mm=mm, tube_mm=None), 3.0, ScoreWeights(), 15.0).outlook(
             required
@@ -148,22 +150,24 @@ def test_outlook_of_a_route_is_the_worse_of_those_by_width_and_by_bend(
     )
     assert bending_mm(scope) == SECTION_MM
     tree = bent(90.0, 14.0)
-    places = Places(
+    positions = ScopePositions(
         tree, ellipsoid((3.0, 3.0, 3.0), tree.branches[1].points[-1]), measures=exact_measures(tree, error_mm=0.28)
     )
     found, _, limits = Judge(scope, 3.0, ScoreWeights(), 15.0).outlook(
-        places.asks(len(places.points) - 1, bending_mm(scope))
+        positions.requirements_at(len(positions.points) - 1, bending_mm(scope))
     )
     assert found == outlook and (limits == ()) == (outlook == "reaches")
 
 
 def test_outlook_of_a_scope_with_unknown_flexion_is_may_reach() -> None:
     tree = bent(90.0, 14.0)
-    places = Places(
+    positions = ScopePositions(
         tree, ellipsoid((3.0, 3.0, 3.0), tree.branches[1].points[-1]), measures=exact_measures(tree, error_mm=0.28)
     )
     scope = dataclasses.replace(scope_preset("thin"), flexion_deg=None)
-    found, _, limits = Judge(scope, 3.0, ScoreWeights(), 15.0).outlook(places.asks(100, bending_mm(scope)))
+    found, _, limits = Judge(scope, 3.0, ScoreWeights(), 15.0).outlook(
+        positions.requirements_at(100, bending_mm(scope))
+    )
     assert found == "may reach" and limits[0].startswith("it is not known how far")
 
 
@@ -175,10 +179,12 @@ def test_outlook_of_a_tool_that_just_reaches_the_edge_of_the_target_is_may_reach
 ) -> None:
     tree = bent(20.0, 14.0)
     end = tree.branches[1].points[-1]
-    places = Places(tree, ellipsoid((3.0, 3.0, 3.0), end), measures=exact_measures(tree, error_mm=0.28))
+    positions = ScopePositions(tree, ellipsoid((3.0, 3.0, 3.0), end), measures=exact_measures(tree, error_mm=0.28))
     at = (float(end[0]), float(end[1]), float(end[2]))
     leg = LastLeg(at, at, at, to_target_mm, 6.0, 0.0, (), 8.0, 8.0, None, None, None, 1.0, reaches=True)
     scope = dataclasses.replace(scope_preset("thin"), tip_mm=4.0, tube_mm=None)
-    found, chance, limits = Judge(scope, 3.0, ScoreWeights(), 15.0).outlook(places.asks(100, SECTION_MM), leg)
+    found, chance, limits = Judge(scope, 3.0, ScoreWeights(), 15.0).outlook(
+        positions.requirements_at(100, SECTION_MM), leg
+    )
     assert found == outlook and (limits == ()) == (outlook == "reaches")
     assert chance == pytest.approx(0.5 * math.erfc((to_target_mm - 15.0) / 0.5 / math.sqrt(2.0)), abs=0.01)

@@ -32,12 +32,12 @@ class LumenCells:
         self._low, self._cell_mm, self._inside, self._signed_mm = low, cell_mm, inside, signed_mm
         # The value of a cell is 1 plus the number of layers of inside cells around it, or 0 for a cell that is not
         # inside.
-        self._room = inside.astype(np.uint8)
+        self._depth = inside.astype(np.uint8)
         layer = inside
         for _ in range(ROOM):
             for axis in range(3):
                 layer = layer & np.roll(layer, 1, axis) & np.roll(layer, -1, axis)
-            self._room += layer
+            self._depth += layer
 
     @classmethod
     def unknown(cls, signed_mm: SignedMm) -> LumenCells:
@@ -96,7 +96,7 @@ class LumenCells:
         at = ((points - self._low) / self._cell_mm).astype(int)
         valid = ((at >= 0) & (at < self._inside.shape)).all(axis=1)
         at[~valid] = 0
-        return np.where(valid, self._room[tuple(at.T)], 0)
+        return np.where(valid, self._depth[tuple(at.T)], 0)
 
 
 def points_on(corners: Floats, apart_mm: float) -> Floats:

@@ -166,7 +166,7 @@ def test_open_connection_is_requested_once_to_close_and_not_aborted_if_it_closes
 
         def shutdown(self):
             calls.append("asked")
-            asyncio.get_running_loop().call_later(3 * ending.LOOK_EVERY_S, server.server_state.connections.clear)
+            asyncio.get_running_loop().call_later(3 * ending.POLL_INTERVAL_S, server.server_state.connections.clear)
 
     async def end():
         server.server_state.connections.add(Connection())

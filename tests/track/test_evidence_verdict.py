@@ -20,7 +20,7 @@ def made(seed, num):
     rise = rng.uniform(0.0, 150.0, num)
     return Sections(
         at_mm=verdict.STEP_MM * np.arange(num),
-        own=rng.uniform(-1000.0, -430.0, num),
+        middle=rng.uniform(-1000.0, -430.0, num),
         rise=rise,
         far_rise=rise + rng.uniform(0.0, 200.0, num),
         closed=rise * rng.uniform(0.0, 1.0, num),
@@ -34,7 +34,7 @@ def made(seed, num):
 def tube(num=40, **changes):
     """Return sections of a clear airway of 1.5 mm radius."""
     values = {
-        "own": -950.0,
+        "middle": -950.0,
         "rise": 150.0,
         "far_rise": 250.0,
         "closed": 120.0,
@@ -53,9 +53,9 @@ def one_by_one(sections, lung, start):
     """Return the gain of each section by the rule of the verdict, computed section by section in HU."""
     found = []
     radii = [
-        max(radius, 3.0) if rise < lung.rise and closed > lung.far_rise and own < -930.0 else radius
-        for radius, rise, closed, own in zip(
-            sections.radius_mm, sections.rise, sections.far_closed, sections.own, strict=True
+        max(radius, 3.0) if rise < lung.rise and closed > lung.far_rise and middle < -930.0 else radius
+        for radius, rise, closed, middle in zip(
+            sections.radius_mm, sections.rise, sections.far_closed, sections.middle, strict=True
         )
     ]
     for n, at in enumerate(sections.at_mm):
@@ -65,11 +65,11 @@ def one_by_one(sections, lung, start):
             for m, mm in enumerate(sections.at_mm)
             if start is None or mm >= min(start.inside_mm, sections.at_mm[-1] - verdict.STEP_MM)
         )
-        own = sections.own[n]
-        if own > verdict.NO_LUMEN_HU:
+        middle = sections.middle[n]
+        if middle > verdict.NO_LUMEN_HU:
             found.append(verdict.NO_LUMEN)
             continue
-        over = min(own - min(sections.around[n], lung.bright), 0.0)
+        over = min(middle - min(sections.around[n], lung.bright), 0.0)
 
         def between(value, least, most):
             return max(least, min(most, value))
@@ -80,7 +80,9 @@ def one_by_one(sections, lung, start):
         gain += verdict.CLOSED * between((sections.closed[n] + over) / lung.rise, *verdict.CLOSED_LIMITS)
         gain += verdict.FAR_CLOSED * between((sections.far_closed[n] + over) / lung.far_rise, *verdict.CLOSED_LIMITS)
         if is_beyond:
-            gain += verdict.DROP * between((max(sections.own[first : n + 1]) - own) / 100.0, 0.0, verdict.MAX_DROP)
+            gain += verdict.DROP * between(
+                (max(sections.middle[first : n + 1]) - middle) / 100.0, 0.0, verdict.MAX_DROP
+            )
         if start is not None:
             mouth = [
                 radius
@@ -91,7 +93,7 @@ def one_by_one(sections, lung, start):
             gain += verdict.WIDER * between(radii[n] / wide - verdict.AS_WIDE, 0.0, verdict.MAX_WIDER)
         gain += verdict.BEND * sections.bend[n]
         gain += verdict.UNEVEN * np.std(radii[max(0, n - 5) : n + 6])
-        gain += verdict.GAP * between((radii[n] - 1.0) * (own + 980.0) / 100.0, 0.0, verdict.MAX_GAP)
+        gain += verdict.GAP * between((radii[n] - 1.0) * (middle + 980.0) / 100.0, 0.0, verdict.MAX_GAP)
         found.append(gain)
     return np.array(found)
 
@@ -117,7 +119,7 @@ def test_higher_wall_values_never_make_a_path_section_more_doubtful(seed, num, r
 
 def test_path_without_values_brighter_than_its_middle_has_no_airway_evidence():
     # Lung without noise is straight, even and not too wide, but has no wall.
-    plain = tube(own=-860.0, rise=0.0, far_rise=20.0, closed=0.0, far_closed=0.0, around=-860.0, radius_mm=0.35)
+    plain = tube(middle=-860.0, rise=0.0, far_rise=20.0, closed=0.0, far_closed=0.0, around=-860.0, radius_mm=0.35)
     assert doubtful_sections(plain, LUNG, HU).all()
 
 
@@ -133,7 +135,7 @@ def test_one_bright_wall_is_insufficient_evidence_for_a_long_path_without_walls(
         far_rise=np.where(bare, 20.0, 1000.0),
         closed=np.where(bare, 0.0, 1000.0),
         far_closed=np.where(bare, 0.0, 1000.0),
-        own=np.where(bare, -860.0, -950.0),
+        middle=np.where(bare, -860.0, -950.0),
     )
     found = doubtful_sections(sections, LUNG, HU)
     assert found[14:].all()
@@ -143,7 +145,7 @@ def test_one_bright_wall_is_insufficient_evidence_for_a_long_path_without_walls(
 @pytest.mark.parametrize(
     "change",
     [
-        pytest.param({"own": -850.0, "radius_mm": 2.0, "closed": 10.0, "rise": 45.0, "far_closed": 50.0}, id="gap"),
+        pytest.param({"middle": -850.0, "radius_mm": 2.0, "closed": 10.0, "rise": 45.0, "far_closed": 50.0}, id="gap"),
         pytest.param({"bend": 1.2, "closed": 10.0, "far_closed": 30.0}, id="bends"),
         pytest.param({"radius_mm": np.tile([0.4, 2.8], 20), "closed": 10.0, "far_closed": 30.0}, id="uneven"),
     ],
@@ -155,16 +157,16 @@ def test_gap_between_vessels_has_no_airway_evidence_although_most_sides_are_brig
 
 
 def test_path_sections_beyond_a_crossed_wall_are_doubtful():
-    own = np.full(40, -980.0)
-    own[10:14] = [-800.0, -600.0, -600.0, -800.0]
-    found = doubtful_sections(tube(own=own), LUNG, HU)
+    middle = np.full(40, -980.0)
+    middle[10:14] = [-800.0, -600.0, -600.0, -800.0]
+    found = doubtful_sections(tube(middle=middle), LUNG, HU)
     assert found[11:].all()
 
 
 def test_main_bronchus_has_evidence_although_its_walls_are_outside_the_measured_distance():
     noise = np.random.default_rng(3)
     wide = tube(
-        own=-985.0 + noise.normal(0.0, 5.0, 40),
+        middle=-985.0 + noise.normal(0.0, 5.0, 40),
         rise=np.abs(noise.normal(0.0, 3.0, 40)),
         closed=0.0,
         far_rise=900.0,
@@ -175,7 +177,7 @@ def test_main_bronchus_has_evidence_although_its_walls_are_outside_the_measured_
 
 
 def test_path_through_values_as_bright_as_tissue_has_no_airway_evidence():
-    own = np.full(40, -900.0)
-    own[20] = -440.0
-    found = doubtful_sections(tube(own=own), LUNG, HU)
+    middle = np.full(40, -900.0)
+    middle[20] = -440.0
+    found = doubtful_sections(tube(middle=middle), LUNG, HU)
     assert found[20]

@@ -16,7 +16,7 @@ LIMITS = {
     "brightest": -400,
     "least_wall": -700.0,
     "least_dip": 22.0,
-    "kept_dip": 20.0,
+    "least_mean_dip": 20.0,
     "blur_mm": 0.85,
     "min_length_mm": 2.0,
     "min_side_mm": 4.5,

@@ -52,7 +52,7 @@ def test_padding_value_in_the_tissue_range_counts_only_at_the_edge_of_the_slice(
     assert found is not None
     np.testing.assert_array_equal(found.inside, OUTSIDE)
     assert (found.value, found.fill, found.is_marked) == (40, float(plane[~OUTSIDE].min()), True)
-    assert found.num_kept >= 20
+    assert found.num_unchanged >= 20
 
 
 def test_small_regions_at_the_edge_are_not_padding():

@@ -184,7 +184,7 @@ pub fn lumen_mesh(
     let mut vertex_at: HashMap<(u64, u8), u32> = HashMap::new();
     let num_layers = (high[2] - low[2] + 2) as f64;
     for k in low[2] - 1..=high[2] {
-        watch.report_share((k - low[2] + 1) as f64 / num_layers)?;
+        watch.report_fraction((k - low[2] + 1) as f64 / num_layers)?;
         for j in low[1] - 1..=high[1] {
             for i in low[0] - 1..=high[0] {
                 let at = |corner: usize| {

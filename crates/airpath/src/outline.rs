@@ -308,8 +308,8 @@ fn crossing(reach: &Reach<'_>, lower: [isize; 3], axis: usize, from_lower: bool)
 
 /// Join the pieces of an outline to lines: the end of one piece is the beginning of the next.
 fn joined(pieces: &[Piece]) -> Vec<Vec<PicturePoint>> {
-    let at = Places::of(pieces);
-    let next: Vec<Option<usize>> = pieces.iter().map(|p| at.get(pieces, p.to)).collect();
+    let table = PieceTable::of(pieces);
+    let next: Vec<Option<usize>> = pieces.iter().map(|p| table.get(pieces, p.to)).collect();
     let mut follows = vec![false; pieces.len()];
     for n in next.iter().flatten() {
         follows[*n] = true;
@@ -335,9 +335,9 @@ fn joined(pieces: &[Piece]) -> Vec<Vec<PicturePoint>> {
 }
 
 /// Hash table from the first edge of a piece to the piece, with twice as many slots as pieces and linear probing.
-struct Places(Vec<u32>);
+struct PieceTable(Vec<u32>);
 
-impl Places {
+impl PieceTable {
     /// Value of an entry of the hash table that contains no piece.
     const FREE: u32 = u32::MAX;
 

@@ -43,8 +43,8 @@ impl IntoPy for TrackError {
 }
 
 impl Watch for PyWatch {
-    fn report_share(&self, share: f64) -> Result<(), TrackError> {
-        if self.should_continue(share) {
+    fn report_fraction(&self, fraction: f64) -> Result<(), TrackError> {
+        if self.should_continue(fraction) {
             Ok(())
         } else {
             Err(TrackError::Cancelled)

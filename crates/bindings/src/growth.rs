@@ -82,7 +82,7 @@ fn extend_lumen<'py>(
 ///
 /// `lumen_zyx` (1 inside) is changed in place: added voxels get the value 2.
 #[pyfunction]
-#[pyo3(signature = (values_zyx, lps_from_ijk, lumen_zyx, *, air, lung, brightest, least_wall, least_dip, kept_dip, blur_mm, min_length_mm, min_side_mm, most_reached, cancel=None, progress=None))]
+#[pyo3(signature = (values_zyx, lps_from_ijk, lumen_zyx, *, air, lung, brightest, least_wall, least_dip, least_mean_dip, blur_mm, min_length_mm, min_side_mm, most_reached, cancel=None, progress=None))]
 fn extend_thin_lumen<'py>(
     py: Python<'py>,
     values_zyx: PyReadonlyArray3<'py, i16>,
@@ -93,7 +93,7 @@ fn extend_thin_lumen<'py>(
     brightest: i16,
     least_wall: f64,
     least_dip: f64,
-    kept_dip: f64,
+    least_mean_dip: f64,
     blur_mm: f64,
     min_length_mm: f64,
     min_side_mm: f64,
@@ -111,7 +111,7 @@ fn extend_thin_lumen<'py>(
         brightest,
         least_wall,
         least_dip,
-        kept_dip,
+        least_mean_dip,
         blur_mm,
         min_length_mm,
         min_side_mm,

@@ -212,7 +212,7 @@ impl FieldTracker {
     fn with_field<T: Send>(
         &self,
         py: Python<'_>,
-        look: impl FnOnce(&VoxelField<'_>) -> Result<T, TrackError> + Send,
+        read: impl FnOnce(&VoxelField<'_>) -> Result<T, TrackError> + Send,
     ) -> PyResult<Result<T, TrackError>> {
         let array = self.field.bind(py).try_readonly()?;
         let values = arrays::values("field_zyx", &array)?;
@@ -226,7 +226,7 @@ impl FieldTracker {
             .map(|mask| arrays::values("mask_zyx", mask))
             .transpose()?;
         Ok(py.detach(|| {
-            look(&voxel_field(
+            read(&voxel_field(
                 &self.grid,
                 values,
                 self.region.as_ref(),

@@ -1,4 +1,4 @@
-//! Periodic checks for Ctrl-C and the caller's `cancel()` during long calls, with reports of the progress.
+//! Periodic checks for Ctrl-C and the caller's `cancel()` during long calls, with reports of progress.
 
 use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant};
@@ -7,7 +7,7 @@ use pyo3::prelude::*;
 
 use crate::errors::IntoPy;
 
-/// Check for Ctrl-C and the caller's `cancel()`, with a call of `progress(share)`, at most every 50 ms.
+/// Check for Ctrl-C and the caller's `cancel()`, with a call of `progress(fraction)`, at most every 50 ms.
 pub(crate) struct PyWatch {
     cancel: Option<Py<PyAny>>,
     progress: Option<Py<PyAny>>,
@@ -15,14 +15,14 @@ pub(crate) struct PyWatch {
 }
 
 struct WatchState {
-    looked: Instant,
+    last_check: Instant,
     /// Exception that a callback or Ctrl-C has raised, to be raised again unchanged; `None` without an exception.
     raised: Option<PyErr>,
     stopped: bool,
 }
 
 /// Minimum time between two checks whether the user pressed Ctrl-C or `cancel()` returns true.
-const BETWEEN_LOOKS: Duration = Duration::from_millis(50);
+const CHECK_INTERVAL: Duration = Duration::from_millis(50);
 
 impl PyWatch {
     pub(crate) fn new(cancel: Option<Py<PyAny>>, progress: Option<Py<PyAny>>) -> Self {
@@ -30,18 +30,18 @@ impl PyWatch {
             cancel,
             progress,
             state: Mutex::new(WatchState {
-                looked: Instant::now(),
+                last_check: Instant::now(),
                 raised: None,
                 stopped: false,
             }),
         }
     }
 
-    fn look(&self, share: f64) -> PyResult<bool> {
+    fn run_callbacks(&self, fraction: f64) -> PyResult<bool> {
         Python::attach(|py| {
             py.check_signals()?;
             if let Some(progress) = &self.progress {
-                progress.call1(py, (share,))?;
+                progress.call1(py, (fraction,))?;
             }
             self.cancel
                 .as_ref()
@@ -49,10 +49,10 @@ impl PyWatch {
         })
     }
 
-    /// Check for a cancellation and report the completed share; return false if the call should end.
+    /// Check for a cancellation and report the completed fraction; return false if the call should end.
     ///
     /// Any thread may call this method without the GIL.
-    pub(crate) fn should_continue(&self, share: f64) -> bool {
+    pub(crate) fn should_continue(&self, fraction: f64) -> bool {
         {
             // Another thread is running the check at this moment.
             let Ok(mut state) = self.state.try_lock() else {
@@ -61,14 +61,14 @@ impl PyWatch {
             if state.stopped {
                 return false;
             }
-            if state.looked.elapsed() < BETWEEN_LOOKS {
+            if state.last_check.elapsed() < CHECK_INTERVAL {
                 return true;
             }
-            state.looked = Instant::now();
+            state.last_check = Instant::now();
         }
         // The lock is released before the callbacks run, because a callback may wait for another thread that calls this
         // method.
-        let found = self.look(share);
+        let found = self.run_callbacks(fraction);
         let should_continue = matches!(found, Ok(true));
         if !should_continue {
             let mut state = self.state.lock().unwrap_or_else(PoisonError::into_inner);

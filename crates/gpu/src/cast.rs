@@ -70,7 +70,7 @@ impl Gpu {
         let lighting = frame.wall_lighting();
         let smooths = lighting
             .as_ref()
-            .is_some_and(|light| light.look.silhouettes);
+            .is_some_and(|light| light.appearance.silhouettes);
         let variant = Variant {
             shaded: parameters.options.light.is_some(),
             nearest: parameters.options.interpolation == Interpolation::Nearest,

@@ -61,7 +61,7 @@ impl LightUniforms {
     pub(crate) fn new(light: &WallLighting<'_>, num_bricks: [u32; 4]) -> Self {
         let lanes = |v: [f32; 3]| [v[0], v[1], v[2], 0.0];
         let rows = |m: [[f32; 3]; 3]| m.map(lanes);
-        let look = &light.look;
+        let appearance = &light.appearance;
         let field = light.decoration.as_ref();
         let [nx, ny, nz] = field.map_or([0; 3], |field| field.shape);
         let [x, y, z] = field.map_or([0.0; 3], |field| field.origin_lps);
@@ -76,30 +76,30 @@ impl LightUniforms {
             held: [
                 light.held[0],
                 light.held[1],
-                look.pale_hu[0],
-                look.pale_hu[1],
+                appearance.pale_hu[0],
+                appearance.pale_hu[1],
             ],
             num_bricks,
             cells_shape: [nx, ny, nz, 0],
             cells_origin: [x, y, z, field.map_or(0.0, |field| field.cells_per_mm)],
-            exposure: look.exposure.unwrap_or(-1.0),
-            ambient: look.ambient,
-            wrap: look.wrap,
-            gloss: look.gloss,
-            paleness: look.paleness,
-            texture: look.texture,
-            vessels: look.vessels,
-            specks: look.specks,
-            secretions: look.secretions,
-            fog: look.fog,
-            rings: look.rings,
-            membrane: look.membrane,
-            hue: look.hue,
-            spurs: look.spurs,
+            exposure: appearance.exposure.unwrap_or(-1.0),
+            ambient: appearance.ambient,
+            wrap: appearance.wrap,
+            gloss: appearance.gloss,
+            paleness: appearance.paleness,
+            texture: appearance.texture,
+            vessels: appearance.vessels,
+            specks: appearance.specks,
+            secretions: appearance.secretions,
+            fog: appearance.fog,
+            rings: appearance.rings,
+            membrane: appearance.membrane,
+            hue: appearance.hue,
+            spurs: appearance.spurs,
             pixel_mm: light.pixel_mm,
             slope_scale: light.slope_scale,
             slope_unit: light.slope_unit,
-            shininess_log2: look.shininess_log2,
+            shininess_log2: appearance.shininess_log2,
             has_decoration: u32::from(field.is_some()),
             first_marked: 0,
             most_marked: 0,

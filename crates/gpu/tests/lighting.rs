@@ -1,5 +1,5 @@
 //! Contract tests of the shading on the GPU: its picture equals that of the CPU within one grey level on 99.9 % of the
-//! pixels, for every look, and is never left incomplete.
+//! pixels, for every appearance, and is never left incomplete.
 #![cfg(feature = "wgpu")]
 
 mod devices;
@@ -57,7 +57,7 @@ const SHIPPED: Appearance = Appearance {
 };
 
 /// Return appearances that each enable other stages of the shading, with their names.
-fn looks() -> Vec<(&'static str, Appearance)> {
+fn appearances() -> Vec<(&'static str, Appearance)> {
     vec![
         ("plain", PLAIN),
         (
@@ -234,11 +234,15 @@ impl Tally {
     }
 }
 
-fn lit_frame_of<T>(scene: &Scene, look: Appearance, use_frame: impl FnOnce(&Frame<'_>) -> T) -> T {
+fn lit_frame_of<T>(
+    scene: &Scene,
+    appearance: Appearance,
+    use_frame: impl FnOnce(&Frame<'_>) -> T,
+) -> T {
     let volume = VolumeView::new(&scene.hu, &scene.grid).unwrap();
     let table = scene.table(false);
     let lit = FrameOptions {
-        appearance: Some(look),
+        appearance: Some(appearance),
         background: [0.1, 0.2, 0.3],
         ..options(false, false)
     };
@@ -247,7 +251,7 @@ fn lit_frame_of<T>(scene: &Scene, look: Appearance, use_frame: impl FnOnce(&Fram
     use_frame(&frame.decorated_by(anatomy.decoration()))
 }
 
-fn both(gpu: &Gpu, scene: &Scene, look: Appearance, leaps: bool) -> Pair {
+fn both(gpu: &Gpu, scene: &Scene, appearance: Appearance, leaps: bool) -> Pair {
     let shape = scene.grid.shape_zyx();
     let radius = radius(scene);
     let volume = gpu.upload_volume(&scene.hu, shape).unwrap();
@@ -257,7 +261,7 @@ fn both(gpu: &Gpu, scene: &Scene, look: Appearance, leaps: bool) -> Pair {
     } else {
         Method::Brute
     };
-    lit_frame_of(scene, look, |frame| {
+    lit_frame_of(scene, appearance, |frame| {
         let rows = 0..scene.camera.height();
         // The CPU leaps also where a trial finds brute force faster, so that its statistics can be compared.
         let leaping = frame.clone().leaping_always();
@@ -281,7 +285,7 @@ fn inside(side: usize) -> Scene {
 #[test]
 fn every_look_equals_that_of_the_cpu_within_one_grey_level() {
     for gpu in gpus() {
-        for (name, look) in looks() {
+        for (name, appearance) in appearances() {
             let mut tally = Tally::default();
             for (n, turn) in [[0.4, 0.2, 0.1], [1.3, -0.6, 2.0], [-2.0, 0.9, 0.3]]
                 .iter()
@@ -289,7 +293,7 @@ fn every_look_equals_that_of_the_cpu_within_one_grey_level() {
             {
                 let mut scene = Scene::fixed([1.0, -0.5, 0.7], *turn);
                 scene.resize(160, 120);
-                tally.add(&both(gpu, &scene, look, n % 2 == 0));
+                tally.add(&both(gpu, &scene, appearance, n % 2 == 0));
             }
             tally.check(name);
         }
@@ -299,17 +303,20 @@ fn every_look_equals_that_of_the_cpu_within_one_grey_level() {
 #[test]
 fn every_look_changes_the_picture() {
     let scene = inside(96);
-    let picture = |look: Appearance| {
-        lit_frame_of(&scene, look, |frame| {
+    let picture = |appearance: Appearance| {
+        lit_frame_of(&scene, appearance, |frame| {
             cast_rows(frame, Method::Brute, 0..96, InstructionSet::best())
                 .unwrap()
                 .0
         })
     };
     let plain = picture(PLAIN);
-    for (name, look) in looks().into_iter().filter(|(_, look)| *look != PLAIN) {
+    for (name, appearance) in appearances()
+        .into_iter()
+        .filter(|(_, appearance)| *appearance != PLAIN)
+    {
         assert!(
-            picture(look) != plain,
+            picture(appearance) != plain,
             "{name} has no effect in the test scene"
         );
     }
@@ -319,13 +326,13 @@ fn every_look_changes_the_picture() {
 fn random_scenes_equal_those_of_the_cpu_within_one_grey_level() {
     for gpu in gpus() {
         let mut runner = TestRunner::deterministic();
-        let looks = looks();
+        let appearances = appearances();
         let mut tally = Tally::default();
         for n in 0..300 {
             let mut scene = any_scene().new_tree(&mut runner).unwrap().current();
             scene.resize(256, 256);
-            let (name, look) = looks[n % looks.len()];
-            let pair = both(gpu, &scene, look, n % 2 == 0);
+            let (name, appearance) = appearances[n % appearances.len()];
+            let pair = both(gpu, &scene, appearance, n % 2 == 0);
             tally.add(&pair);
             let (cpu, gpu) = (pair.cpu.1, pair.gpu.1);
             assert_eq!(cpu.num_rays, gpu.num_rays);
@@ -408,17 +415,17 @@ fn pictures_of_several_threads_and_looks_at_once_equal_single_pictures() {
         let volume = gpu
             .upload_volume(&scene.hu, scene.grid.shape_zyx())
             .unwrap();
-        let picture = |look| {
-            lit_frame_of(&scene, look, |frame| {
+        let picture = |appearance| {
+            lit_frame_of(&scene, appearance, |frame| {
                 gpu.cast(frame, on(&volume, None), 0..80, false).unwrap().0
             })
         };
-        let looks = [PLAIN, SHIPPED, Appearance { fog: 0.5, ..PLAIN }];
-        let expected = looks.map(picture);
+        let appearances = [PLAIN, SHIPPED, Appearance { fog: 0.5, ..PLAIN }];
+        let expected = appearances.map(picture);
         std::thread::scope(|scope| {
-            let casts = looks.map(|look| {
+            let casts = appearances.map(|appearance| {
                 let picture = &picture;
-                scope.spawn(move || (0..4).map(|_| picture(look)).collect::<Vec<_>>())
+                scope.spawn(move || (0..4).map(|_| picture(appearance)).collect::<Vec<_>>())
             });
             for (thread, expected) in casts.into_iter().zip(&expected) {
                 assert!(thread.join().unwrap().iter().all(|found| found == expected));

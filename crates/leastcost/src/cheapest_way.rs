@@ -59,7 +59,7 @@ pub fn cheapest_way(
         }
         num_popped += 1;
         if num_popped.is_multiple_of(1 << 14) {
-            watch.report_share(0.5)?;
+            watch.report_fraction(0.5)?;
         }
         if is_goal[at] != 0 {
             let mut voxels = vec![voxel(at)];

@@ -58,7 +58,7 @@ pub trait Watch: Sync {
     /// # Errors
     ///
     /// Returns an error if the computation must stop.
-    fn report_share(&self, share: f64) -> Result<(), TrackError>;
+    fn report_fraction(&self, fraction: f64) -> Result<(), TrackError>;
 }
 
 /// Observer that never stops the computation.
@@ -66,7 +66,7 @@ pub trait Watch: Sync {
 pub struct Unwatched;
 
 impl Watch for Unwatched {
-    fn report_share(&self, _share: f64) -> Result<(), TrackError> {
+    fn report_fraction(&self, _fraction: f64) -> Result<(), TrackError> {
         Ok(())
     }
 }

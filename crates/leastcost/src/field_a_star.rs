@@ -12,7 +12,7 @@ use crate::field_tracker::open_root;
 use crate::{TrackError, Watch};
 
 /// Number of nodes that are settled between two checks for cancellation.
-const NODES_PER_LOOK: usize = 1 << 14;
+const NODES_PER_CHECK: usize = 1 << 14;
 
 /// Number of low bits of a voxel's state that store the cell of the step that led to the voxel, plus 1.
 const CELL_BITS: u32 = 5;
@@ -91,8 +91,8 @@ pub fn least_path<C: StepCost>(
                     num_settled,
                 }));
             }
-            if num_settled % NODES_PER_LOOK == 0 {
-                watch.report_share(num_settled as f64 / quanta.num_open as f64)?;
+            if num_settled % NODES_PER_CHECK == 0 {
+                watch.report_fraction(num_settled as f64 / quanta.num_open as f64)?;
             }
             let ijk = layout.ijk(node);
             let value_at = layout.value_at(ijk);

@@ -14,7 +14,7 @@ pub(crate) const LANES: usize = 16;
 /// Length of a row of a tile's buffer: 16 lanes, one neighbour at each end, and padding for reads of whole registers.
 pub(crate) const ROW: usize = 24;
 /// Index, in a row of the buffer, of the first voxel of the tile; the voxels before it belong to the neighbouring tile.
-pub(crate) const OWN: usize = 4;
+pub(crate) const FIRST_VOXEL: usize = 4;
 
 /// Cost in quanta of a voxel that no path has reached.
 ///

@@ -20,7 +20,7 @@ use std::marker::PhantomData;
 use carina_grid::InstructionSet;
 
 use crate::field::{Quanta, StepCost, VoxelField};
-use crate::field_lanes::{LANES, OWN, UNREACHED};
+use crate::field_lanes::{FIRST_VOXEL, LANES, UNREACHED};
 use crate::field_tile::{ACROSS, Buffer, Settle, Steps, SweepBuffer, TILE, prefetch_tile, run};
 
 /// State of one tile (cube of voxels) since its costs were last computed.
@@ -171,7 +171,7 @@ impl Sweep {
                 let bit = decreased.trailing_zeros() as usize;
                 decreased &= decreased - 1;
                 let i = first[0] + bit - 1;
-                let cost = buffer.costs[row][OWN - 1 + bit];
+                let cost = buffer.costs[row][FIRST_VOXEL - 1 + bit];
                 left[(k * ny + j) * nx + i] = (UNREACHED - cost) as i32;
                 self.mark_decreased([i, j, k], cost);
             }

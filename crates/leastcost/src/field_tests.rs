@@ -434,8 +434,8 @@ fn cube(n: usize, value: f32) -> Scene {
 struct StopTimes(std::sync::atomic::AtomicUsize);
 
 impl Watch for StopTimes {
-    fn report_share(&self, share: f64) -> Result<(), TrackError> {
-        assert!((0.0..=1.0).contains(&share));
+    fn report_fraction(&self, fraction: f64) -> Result<(), TrackError> {
+        assert!((0.0..=1.0).contains(&fraction));
         let stop = |left: usize| left.checked_sub(1);
         let order = std::sync::atomic::Ordering::Relaxed;
         match self.0.fetch_update(order, order, stop) {

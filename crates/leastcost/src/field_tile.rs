@@ -11,7 +11,9 @@ use carina_grid::InstructionSet;
 use crate::field::{HERE, StepCost, VoxelField};
 #[cfg(target_arch = "x86_64")]
 use crate::field_lanes::Avx512;
-use crate::field_lanes::{LANES, Lanes, OWN, Portable, ROW, UNREACHED, open_weight, quanta};
+use crate::field_lanes::{
+    FIRST_VOXEL, LANES, Lanes, Portable, ROW, UNREACHED, open_weight, quanta,
+};
 use crate::field_layout::prefetch;
 
 /// Number of voxels of a tile along i, j, k.
@@ -70,7 +72,7 @@ fn load<L: Lanes>(
     let mask = field.mask();
     let low = first[0].max(1) - 1;
     let len = (first[0] + LANES + 1).min(nx) - low;
-    let at_low = OWN + low - first[0];
+    let at_low = FIRST_VOXEL + low - first[0];
     buffer.decreased.fill(0);
     for row in 0..ACROSS * ACROSS {
         let (weights, costs) = (&mut buffer.weights[row], &mut buffer.costs[row]);
@@ -88,9 +90,9 @@ fn load<L: Lanes>(
             // The row is copied as two registers, the second of which begins two lanes farther.
             for at in [0, 2] {
                 let part = from_values[at..].first_chunk().expect("a register");
-                l.copy_weights(part, weights, OWN - 1 + at);
+                l.copy_weights(part, weights, FIRST_VOXEL - 1 + at);
                 let part = from_left[at..].first_chunk().expect("a register");
-                l.store(l.costs_of_left(part), costs, OWN - 1 + at);
+                l.store(l.costs_of_left(part), costs, FIRST_VOXEL - 1 + at);
             }
         } else {
             weights.fill(f32::INFINITY);
@@ -281,27 +283,33 @@ fn relax_row<L: Lanes, C: StepCost>(
 ) -> bool {
     let weights = &buffer.weights[row];
     let own = &buffer.costs[row];
-    let here = l.weights(weights, OWN);
-    let old = l.costs(own, OWN);
+    let here = l.weights(weights, FIRST_VOXEL);
+    let old = l.costs(own, FIRST_VOXEL);
     let mut best = l.all(UNREACHED);
     for block in [0, 1, 2, 3, 5, 6, 7, 8] {
         best = l.least(
             best,
-            through::<L, C>(l, buffer, scale, here, row, OWN, block),
+            through::<L, C>(l, buffer, scale, here, row, FIRST_VOXEL, block),
         );
     }
     let (before, behind);
     if C::BY_VOXEL {
         before = l.quanta(here, scale[0]);
         behind = before;
-        best = l.least(best, l.costs(own, OWN - 1));
-        best = l.least(best, l.costs(own, OWN + 1));
+        best = l.least(best, l.costs(own, FIRST_VOXEL - 1));
+        best = l.least(best, l.costs(own, FIRST_VOXEL + 1));
         best = l.least(old, l.plus(best, before));
     } else {
-        before = l.quanta(l.sum(here, l.weights(weights, OWN - 1)), scale[HERE - 1]);
-        behind = l.quanta(l.sum(here, l.weights(weights, OWN + 1)), scale[HERE + 1]);
-        best = l.least(best, l.plus(l.costs(own, OWN - 1), before));
-        best = l.least(best, l.plus(l.costs(own, OWN + 1), behind));
+        before = l.quanta(
+            l.sum(here, l.weights(weights, FIRST_VOXEL - 1)),
+            scale[HERE - 1],
+        );
+        behind = l.quanta(
+            l.sum(here, l.weights(weights, FIRST_VOXEL + 1)),
+            scale[HERE + 1],
+        );
+        best = l.least(best, l.plus(l.costs(own, FIRST_VOXEL - 1), before));
+        best = l.least(best, l.plus(l.costs(own, FIRST_VOXEL + 1), behind));
         best = l.least(old, best);
     }
     if !was_changed && l.less(best, old) == 0 {
@@ -329,7 +337,7 @@ fn relax_row<L: Lanes, C: StepCost>(
     down = l.least(down, l.plus(l.down::<8>(down), down8));
     best = l.least(up, down);
     let decreased = l.less(best, old);
-    l.store(best, &mut buffer.costs[row], OWN);
+    l.store(best, &mut buffer.costs[row], FIRST_VOXEL);
     buffer.decreased[row] |= u32::from(decreased) << 1;
     decreased != 0
 }
@@ -356,7 +364,7 @@ fn relax_round<L: Lanes, C: StepCost>(l: L, buffer: &mut Buffer, scale: &[f32; 2
         }
         if (1..9).contains(&j) && (1..9).contains(&k) {
             // Relax the voxel before and the voxel after the part of the row that belongs to the tile.
-            for (lane, cell) in [(OWN - 1, 2), (OWN + LANES, 0)] {
+            for (lane, cell) in [(FIRST_VOXEL - 1, 2), (FIRST_VOXEL + LANES, 0)] {
                 let at = lane + cell - 1;
                 let here = buffer.weights[row][lane];
                 let old = buffer.costs[row][lane];
@@ -374,12 +382,12 @@ fn relax_round<L: Lanes, C: StepCost>(l: L, buffer: &mut Buffer, scale: &[f32; 2
                 }
                 if best < old {
                     buffer.costs[row][lane] = best;
-                    buffer.decreased[row] |= 1 << (lane + 1 - OWN);
+                    buffer.decreased[row] |= 1 << (lane + 1 - FIRST_VOXEL);
                 }
             }
             continue;
         }
-        for (at, shift) in [(OWN - 1, 0), (OWN + 1, 2)] {
+        for (at, shift) in [(FIRST_VOXEL - 1, 0), (FIRST_VOXEL + 1, 2)] {
             let here = l.weights(&buffer.weights[row], at);
             let old = l.costs(&buffer.costs[row], at);
             let mut best = l.all(UNREACHED);
@@ -414,26 +422,26 @@ fn write<L: Lanes>(
     most: u32,
 ) -> (u32, bool) {
     /// Bits in `decreased` of the voxels that belong to the tile.
-    const OWN_LANES: u32 = 0x1_FFFE;
+    const TILE_LANES: u32 = 0x1_FFFE;
     let len = LANES.min(nx - first[0]);
     let (mut num_reached, mut beyond) = (0, 0);
     for at in 0..TILE[1] * TILE[2] {
         let (j, k) = (at % 8, at / 8);
         let row = row_of(j, k);
-        let costs = l.costs(&buffer.costs[row], OWN);
+        let costs = l.costs(&buffer.costs[row], FIRST_VOXEL);
         let reached = l.less(costs, l.all(UNREACHED));
         num_reached += reached.count_ones();
-        if buffer.decreased[row] & OWN_LANES == 0 {
+        if buffer.decreased[row] & TILE_LANES == 0 {
             continue;
         }
-        buffer.decreased[row] &= !OWN_LANES;
+        buffer.decreased[row] &= !TILE_LANES;
         beyond |= reached & l.less(l.all(most), costs);
         let node = ((first[2] + k) * ny + first[1] + j) * nx + first[0];
         if let Some(left) = left[node..node + len].first_chunk_mut() {
             l.store_left(costs, left);
         } else {
             for lane in 0..len {
-                left[node + lane] = (UNREACHED - buffer.costs[row][OWN + lane]) as i32;
+                left[node + lane] = (UNREACHED - buffer.costs[row][FIRST_VOXEL + lane]) as i32;
             }
         }
     }
@@ -472,8 +480,8 @@ impl<C: StepCost> Kernel for Steps<'_, C> {
         load(l, buffer, field, left, first);
         for (at, cells) in cells.iter_mut().enumerate() {
             let row = row_of(at % 8, at / 8);
-            let here = l.weights(&buffer.weights[row], OWN);
-            let own = l.costs(&buffer.costs[row], OWN);
+            let here = l.weights(&buffer.weights[row], FIRST_VOXEL);
+            let own = l.costs(&buffer.costs[row], FIRST_VOXEL);
             let known = l.less(own, l.all(known_to + 1));
             let step = l.quanta(here, scale[0]);
             let mut steps = l.all(0);
@@ -483,7 +491,7 @@ impl<C: StepCost> Kernel for Steps<'_, C> {
                 let other = beside(row, block);
                 let (weights, costs) = (&buffer.weights[other], &buffer.costs[other]);
                 for lane in 0..3 {
-                    let (cell, at) = (3 * block + lane, OWN + lane - 1);
+                    let (cell, at) = (3 * block + lane, FIRST_VOXEL + lane - 1);
                     if cell == HERE {
                         continue;
                     }

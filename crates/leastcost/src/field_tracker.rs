@@ -20,7 +20,7 @@ use crate::field_tile::SweepBuffer;
 use crate::{TrackError, Watch};
 
 /// Approximate number of nodes settled between two checks of the watch.
-const NODES_PER_LOOK: usize = 1 << 16;
+const NODES_PER_CHECK: usize = 1 << 16;
 
 impl<C: StepCost> FieldTracker<C> {
     /// Create a tracker with one root, a voxel of the volume, and no settled node.
@@ -209,7 +209,7 @@ impl<C: StepCost> FieldTracker<C> {
         let overflow = TrackError::CostOverflow {
             most: MAX_QUANTA as f64 * self.quanta.unit,
         };
-        let mut looked_at = sweep.num_reached;
+        let mut last_check = sweep.num_reached;
         let mut visits = 0;
         while let Some(front) = sweep.front_cost() {
             if front > sweep.most() {
@@ -221,10 +221,10 @@ impl<C: StepCost> FieldTracker<C> {
             }
             sweep.settle_next::<C>(field, buffer, &mut self.left);
             visits += 1;
-            if sweep.num_reached >= looked_at + NODES_PER_LOOK || visits == 64 {
+            if sweep.num_reached >= last_check + NODES_PER_CHECK || visits == 64 {
                 visits = 0;
-                looked_at = sweep.num_reached;
-                watch.report_share(looked_at as f64 / self.quanta.num_open as f64)?;
+                last_check = sweep.num_reached;
+                watch.report_fraction(last_check as f64 / self.quanta.num_open as f64)?;
             }
         }
         if sweep.is_beyond(&self.left) {
@@ -276,7 +276,7 @@ impl<C: StepCost> FieldTracker<C> {
         target: Option<u32>,
         watch: &impl Watch,
     ) -> Result<(), TrackError> {
-        let mut looked_at = self.num_settled;
+        let mut last_check = self.num_settled;
         while !self.done && target.is_none_or(|t| !self.is_known(t)) {
             if !self.queue.advance() {
                 self.done = true;
@@ -301,9 +301,9 @@ impl<C: StepCost> FieldTracker<C> {
                 self.queue.give_back(block);
             }
             self.close_touched();
-            if self.num_settled - looked_at >= NODES_PER_LOOK {
-                looked_at = self.num_settled;
-                watch.report_share(looked_at as f64 / self.quanta.num_open as f64)?;
+            if self.num_settled - last_check >= NODES_PER_CHECK {
+                last_check = self.num_settled;
+                watch.report_fraction(last_check as f64 / self.quanta.num_open as f64)?;
             }
         }
         Ok(())

@@ -45,7 +45,7 @@ pub fn radii(
     let [nx, ny, nz] = voxel_box.shape_ijk;
     let mut radius = vec![0; labels.len()];
     let builder = MapBuilder {
-        cancelled: Some(&|| watch.report_share(0.0).is_err()),
+        cancelled: Some(&|| watch.report_fraction(0.0).is_err()),
         ..MapBuilder::default()
     };
     builder
@@ -127,7 +127,7 @@ impl<B: VoxelGraph + Sync> IsoRegionGraph<B> {
             .into_par_iter()
             .filter(|&node| !is_cut_away(radius, voxel_box.shape_ijk, local(node)))
             .collect();
-        watch.report_share(0.3)?;
+        watch.report_fraction(0.3)?;
         let mut node_of = vec![NO_NODE; base.num_nodes()];
         for (node, &whole) in whole_of.iter().enumerate() {
             node_of[whole as usize] = node as u32;
@@ -184,7 +184,7 @@ impl<B: VoxelGraph + Sync> IsoRegionGraph<B> {
                 });
             }
             let done = num_done.fetch_add(chunk.len() as u64, Ordering::Relaxed);
-            watch.report_share(0.3 + 0.4 * done as f64 / centres.len() as f64)
+            watch.report_fraction(0.3 + 0.4 * done as f64 / centres.len() as f64)
         })?;
         Ok(best
             .into_iter()
@@ -573,7 +573,7 @@ impl Components {
         };
         for node in 0..num as u32 {
             if node.is_multiple_of(1 << 16) {
-                watch.report_share(0.7 + 0.3 * f64::from(node) / num as f64)?;
+                watch.report_fraction(0.7 + 0.3 * f64::from(node) / num as f64)?;
             }
             graph.for_each_edge(node, |other, _| {
                 if other < node {

@@ -337,7 +337,7 @@ pub fn costs_after_edit(
         }
         num_popped += 1;
         if num_popped.is_multiple_of(1 << 16) {
-            watch.report_share(0.5)?;
+            watch.report_fraction(0.5)?;
         }
         graph.for_each_edge(node, |v, length_mm| {
             let through = here + u64::from(quantum.edge(&cost, node, v, length_mm));

@@ -151,7 +151,7 @@ fn clipped_gradient(
         .map_init(
             || Rows::new(values, whole),
             |rows, k| {
-                watch.report_share(0.0)?;
+                watch.report_fraction(0.0)?;
                 let mut counts = vec![0u32; NUM_BINS];
                 for j in 0..shape_ijk[1] {
                     for squared in rows.squared_gradient(j, k) {
@@ -202,7 +202,7 @@ pub fn greatest_gradient(
         .map_init(
             || Rows::new(values, whole),
             |rows, k| {
-                watch.report_share(0.0)?;
+                watch.report_fraction(0.0)?;
                 let mut greatest = 0.0f64;
                 for j in 0..ny {
                     let squared = rows.squared_gradient(j, k);
@@ -257,7 +257,7 @@ impl PaperCost {
             .try_for_each_init(
                 || Rows::new(values, voxel_box),
                 |rows, (k, (shares, signs))| {
-                    watch.report_share(k as f64 / nz as f64)?;
+                    watch.report_fraction(k as f64 / nz as f64)?;
                     for j in 0..ny {
                         let row = j * nx..(j + 1) * nx;
                         let (jj, kk) = (j + voxel_box.first_ijk[1], k + voxel_box.first_ijk[2]);

@@ -15,7 +15,7 @@ use crate::{TrackError, Watch};
 pub const UNREACHED: u64 = u64::MAX;
 
 /// Number of nodes that are settled between two checks for cancellation.
-const NODES_PER_LOOK: usize = 1 << 16;
+const NODES_PER_CHECK: usize = 1 << 16;
 
 /// Tree of least-cost paths from one root, which grows on demand.
 #[derive(Debug)]
@@ -195,8 +195,8 @@ impl Tracker {
                 }
             });
             // The check comes after the node is finished, so that a stop never loses its edges.
-            if self.order.len().is_multiple_of(NODES_PER_LOOK) {
-                watch.report_share(self.order.len() as f64 / num_nodes as f64)?;
+            if self.order.len().is_multiple_of(NODES_PER_CHECK) {
+                watch.report_fraction(self.order.len() as f64 / num_nodes as f64)?;
             }
         }
         Ok(())

@@ -136,7 +136,7 @@ proptest! {
 struct StopOnce(std::sync::atomic::AtomicBool);
 
 impl Watch for StopOnce {
-    fn report_share(&self, _share: f64) -> Result<(), TrackError> {
+    fn report_fraction(&self, _fraction: f64) -> Result<(), TrackError> {
         if self.0.swap(false, std::sync::atomic::Ordering::Relaxed) {
             return Err(TrackError::Cancelled);
         }

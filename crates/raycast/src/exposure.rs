@@ -17,7 +17,7 @@ impl Lighting {
     /// appearance.
     pub(crate) fn exposed(frame: &Frame<'_>, method: Method<'_>) -> Option<Self> {
         let mut light = Self::of(frame)?;
-        if light.look.exposure.is_none() {
+        if light.appearance.exposure.is_none() {
             light.exposure = light.find_exposure(frame, method);
         }
         Some(light)

@@ -365,9 +365,9 @@ impl<'a> Frame<'a> {
         let rgb = match &self.options.light {
             Some(light) if SHADED => {
                 let facing = self.facing(ray, self.field.gradient_in(&cell));
-                let (own, white) = light.shares(facing, (k as f32 + 0.5) * self.step_mm);
+                let (diffuse, white) = light.factors(facing, (k as f32 + 0.5) * self.step_mm);
                 let white = white * alpha;
-                [r, g, b].map(|c| own.mul_add(c, white))
+                [r, g, b].map(|c| diffuse.mul_add(c, white))
             }
             _ => [r, g, b],
         };

@@ -51,11 +51,11 @@ impl Light {
         Ok(())
     }
 
-    /// Return the weights of a sample's own colour and of white light in its shaded colour.
+    /// Return the weights of a sample's diffuse colour and of white light in its shaded colour.
     ///
     /// `facing` is the cosine between surface normal and light (0 to 1).
     #[inline(always)]
-    pub(crate) fn shares(&self, facing: f32, distance_mm: f32) -> (f32, f32) {
+    pub(crate) fn factors(&self, facing: f32, distance_mm: f32) -> (f32, f32) {
         let mut highlight = facing;
         for _ in 0..self.shininess_log2 {
             highlight *= highlight;
@@ -64,8 +64,8 @@ impl Light {
         // distance d and is constant at a small one, like the automatic exposure of a scope.
         let part = distance_mm / self.reach_mm;
         let left = 1.0 / part.mul_add(part, 1.0);
-        let own = facing.mul_add(self.diffuse, self.ambient);
-        (own * left, self.specular * highlight * left)
+        let diffuse = facing.mul_add(self.diffuse, self.ambient);
+        (diffuse * left, self.specular * highlight * left)
     }
 }
 
@@ -84,19 +84,19 @@ mod tests {
 
     #[test]
     fn half_the_light_is_left_at_the_reach_and_all_of_it_at_the_tip() {
-        assert_eq!(LIGHT.shares(1.0, 0.0), (1.0, 0.5));
-        assert_eq!(LIGHT.shares(1.0, 20.0), (0.5, 0.25));
+        assert_eq!(LIGHT.factors(1.0, 0.0), (1.0, 0.5));
+        assert_eq!(LIGHT.factors(1.0, 20.0), (0.5, 0.25));
         let endless = Light {
             reach_mm: f32::INFINITY,
             ..LIGHT
         };
-        assert_eq!(endless.shares(1.0, 500.0), (1.0, 0.5));
+        assert_eq!(endless.factors(1.0, 500.0), (1.0, 0.5));
     }
 
     #[test]
     fn the_highlight_is_a_power_of_the_cosine() {
         // f32 represents 0.5^8 exactly.
-        assert_eq!(LIGHT.shares(0.5, 0.0).1, 0.5 / 256.0);
+        assert_eq!(LIGHT.factors(0.5, 0.0).1, 0.5 / 256.0);
         assert!(
             Light {
                 diffuse: f32::NAN,

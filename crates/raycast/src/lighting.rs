@@ -7,7 +7,7 @@ use crate::{Appearance, Frame, NormalBricks, normals::Normals};
 /// Parameters for the shading of a frame's first walls, computed once in f64.
 #[derive(Debug, Clone)]
 pub(crate) struct Lighting {
-    pub look: Appearance,
+    pub appearance: Appearance,
     pub normals: Normals,
     pub bricks: Arc<NormalBricks>,
     pub origin_ijk: [f32; 3],
@@ -38,14 +38,14 @@ impl Lighting {
 
     /// Return the lighting of a frame, without its exposure, with the cache `bricks` for the wall normals.
     pub(crate) fn reading(frame: &Frame<'_>, bricks: Arc<NormalBricks>) -> Option<Self> {
-        let look = frame.options.appearance?;
+        let appearance = frame.options.appearance?;
         let camera = frame.camera();
         let rows = |m: &carina_grid::Affine| {
             m.rows()
                 .map(|row| [row[0] as f32, row[1] as f32, row[2] as f32])
         };
         Some(Self {
-            look,
+            appearance,
             normals: Normals::of(frame),
             bricks,
             origin_ijk: frame.origin3(),
@@ -59,13 +59,13 @@ impl Lighting {
             camera_from_lps: std::array::from_fn(|a| {
                 camera.lps_from_camera().column(a).map(|v| v as f32)
             }),
-            guides: look.guides_mm.map(|guide| {
+            guides: appearance.guides_mm.map(|guide| {
                 let lps = camera.lps_from_camera().vector(guide.map(f64::from));
                 lps.map(|v| v as f32)
             }),
             pixel_mm: (1.0 / camera.focal_px()) as f32,
             background: frame.options.background,
-            exposure: look.exposure.unwrap_or(1.0),
+            exposure: appearance.exposure.unwrap_or(1.0),
         })
     }
 }

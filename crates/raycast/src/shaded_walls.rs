@@ -27,7 +27,7 @@ pub fn rows_to_gather(frame: &Frame<'_>, rows: &Range<usize>) -> Range<usize> {
     let smooth = frame
         .options
         .appearance
-        .is_some_and(|look| look.silhouettes);
+        .is_some_and(|appearance| appearance.silhouettes);
     if smooth && !rows.is_empty() {
         rows.start.saturating_sub(1)..(rows.end + 1).min(frame.camera().height())
     } else {
@@ -114,7 +114,7 @@ fn light_walls(
         })
         .reduce(Default::default, |(a, b), (c, d)| (a.plus(c), b.plus(d)));
     let mut lit = lit;
-    if light.look.silhouettes {
+    if light.appearance.silhouettes {
         let [before, after] = beside;
         let depths = DepthRows {
             width,

@@ -224,7 +224,7 @@ pub(crate) fn smooth_silhouettes(
         })
         .collect();
     let mut round = light.clone();
-    round.look.wrap = round.look.wrap.max(EDGE_WRAP);
+    round.appearance.wrap = round.appearance.wrap.max(EDGE_WRAP);
     let smoothed: Vec<(CastStats, Vec<[u8; 3]>)> = pixels
         .par_chunks(PIXELS_AT_A_TIME)
         .map(|pixels| {

@@ -25,7 +25,7 @@ pub struct WallDecoration<'a> {
 #[derive(Debug, Clone, PartialEq)]
 pub struct WallLighting<'a> {
     /// Light, gloss, texture and decoration.
-    pub look: Appearance,
+    pub appearance: Appearance,
     /// Position of the camera's centre, LPS mm.
     pub camera_lps: [f32; 3],
     /// Matrix from voxels to LPS mm, without translation.
@@ -65,7 +65,7 @@ impl Frame<'_> {
         let light = Lighting::reading(self, Arc::clone(&bricks))?;
         let decoration = self.decoration.as_ref();
         Some(WallLighting {
-            look: light.look,
+            appearance: light.appearance,
             camera_lps: light.camera_lps,
             lps_from_ijk: light.lps_from_ijk,
             ijk_from_lps: light.ijk_from_lps,
@@ -80,7 +80,7 @@ impl Frame<'_> {
             num_bricks: bricks.store().num_bricks(),
             most_bricks: MAX_BRICKS.min(bricks.store().table().len()),
             decoration: decoration
-                .filter(|_| light.look.knows_anatomy())
+                .filter(|_| light.appearance.knows_anatomy())
                 .map(|field| WallDecoration {
                     cells: field.cells,
                     shape: field.shape_ijk,

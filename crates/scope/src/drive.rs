@@ -192,7 +192,7 @@ impl ScopeDrive {
             requested_roll_rad: 0.0,
             touches: false,
         };
-        drive.look(0.0, Limit::None, 0.0);
+        drive.update_state(0.0, Limit::None, 0.0);
         Ok(drive)
     }
 
@@ -313,7 +313,7 @@ impl ScopeDrive {
             limit = Limit::Wall;
         }
         let further_mm = (depth_mm - self.controls.depth_mm).max(0.0);
-        self.look(dt_s, limit, further_mm);
+        self.update_state(dt_s, limit, further_mm);
         Ok(self.state)
     }
 
@@ -437,7 +437,7 @@ impl ScopeDrive {
         } else {
             Limit::None
         };
-        self.look(0.0, limit, 0.0);
+        self.update_state(0.0, limit, 0.0);
         Ok(self.state)
     }
 
@@ -469,7 +469,7 @@ impl ScopeDrive {
     }
 
     /// Compute the scope's state from its axis and controls, and update the summary of contacts.
-    fn look(&mut self, dt_s: f64, limit: Limit, further_mm: f64) {
+    fn update_state(&mut self, dt_s: f64, limit: Limit, further_mm: f64) {
         let tip = self.tip();
         let least = self.feelers.clearance(&self.field, &tip, &self.entry);
         let mut record = self.state.record;

@@ -108,18 +108,18 @@ fn a_free_tip_bends_to_its_angle_with_the_radius_of_its_bending_section() {
     .unwrap();
     scope.drive(60.0, 0.0, 0.0, 0.1).unwrap();
     let state = scope.drive(60.0, 0.0, 1.0, 0.1).unwrap();
-    let look = state.lps_from_tip.column(2);
-    let angle = libm::acos(-look[2]);
+    let forward = state.lps_from_tip.column(2);
+    let angle = libm::acos(-forward[2]);
     // The tolerance of 1e-3 rad is the remaining error of the relaxation.
     assert!((angle - 1.0).abs() < 1e-3, "{angle}");
     // Up is anterior, so the tip moves in that direction.
-    assert!(look[1] < 0.0 && state.lps_from_tip.column(3)[1] < -2.0);
+    assert!(forward[1] < 0.0 && state.lps_from_tip.column(3)[1] < -2.0);
     // After a roll by a quarter turn clockwise, up is the patient's right.
     let state = scope
         .drive(60.0, core::f64::consts::FRAC_PI_2, 1.0, 0.1)
         .unwrap();
-    let look = state.lps_from_tip.column(2);
-    assert!(look[0] < -0.8 && look[1].abs() < 0.01, "{look:?}");
+    let forward = state.lps_from_tip.column(2);
+    assert!(forward[0] < -0.8 && forward[1].abs() < 0.01, "{forward:?}");
     // After the reverse movement the state must not depend on previous positions.
     let state = scope.drive(60.0, 0.0, 0.0, 0.1).unwrap();
     let off = distance(state.lps_from_tip.column(2), [0.0, 0.0, -1.0]);

@@ -144,8 +144,8 @@ class History(Generic[D]):
             step = self._steps[self._position - 1]
             self._steps[self._position - 1] = _with_document(step, edit(step.document))
 
-    def keep_distinct(self, what: Callable[[D], object], num_kept: int) -> None:
-        """Delete the oldest steps until the documents contain at most ``num_kept`` different values of ``what``.
+    def keep_distinct(self, what: Callable[[D], object], max_distinct: int) -> None:
+        """Delete the oldest steps until the documents contain at most ``max_distinct`` different values of ``what``.
 
         The deletion limits the memory for ``what(document)``, a large part of the document; values are compared by
         identity. The step at the current position is never deleted.
@@ -154,10 +154,10 @@ class History(Generic[D]):
         ----------
         what
             Returns the large part of a document.
-        num_kept
+        max_distinct
             Largest number of different large parts.
         """
-        while self._position and len({id(what(document)) for document in self.documents()}) > num_kept:
+        while self._position and len({id(what(document)) for document in self.documents()}) > max_distinct:
             self._forget_oldest()
             self._position -= 1
 

@@ -148,7 +148,7 @@ def copied_with_journal(path: Path, folder: Path) -> Path:
             0 if stamp is None else _num_used_bytes(part, part.name[len(path.name) :], stamp[1])
             for part, stamp in zip(parts, before, strict=True)
         ]
-        _check_room(path, sum(sizes), folder)
+        _check_free_space(path, sum(sizes), folder)
         for part, size in zip(parts, sizes, strict=True):
             target = folder / ("case.carina" + part.name[len(path.name) :])
             target.unlink(missing_ok=True)
@@ -199,7 +199,7 @@ def _copy(part: Path, target: Path, size: int) -> None:
             left -= len(piece)
 
 
-def _check_room(path: Path, size: int, folder: Path) -> None:
+def _check_free_space(path: Path, size: int, folder: Path) -> None:
     """Raise an error if a case with its journals is too large, or larger than the free space of a folder."""
     if size > MAX_CASE_BYTES:
         raise unusable_file_error(

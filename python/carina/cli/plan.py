@@ -222,7 +222,7 @@ def report(
     materials = PlanMaterials(
         source.volume, airways, wall, plan, verdicts=verdicts, carina_depth_mm=carina_depth_mm, carm=carm
     )
-    # The turns belong to the list, because a turn may have no reliable clock hour.
+    # Turns are computed first, because a turn without a reliable clock hour is a reason against the plan.
     materials = replace(materials, turns=route_turns(materials))
     against = reasons_against(plan, verdicts=verdicts, turns=materials.turns)
     if against:

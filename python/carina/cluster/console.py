@@ -28,9 +28,9 @@ logger = logging.getLogger(__name__)
 
 RETRY_S = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0)
 """Waiting times in seconds before a renderer that could not load the content loads it again; the last one repeats."""
-TELL_AFTER_LOADS = 5
+NOTIFY_AFTER_LOADS = 5
 """Number of failed loads of a renderer from which the user is notified; a restart can cause one or two."""
-TELL_AFTER_S = 0.5
+NOTIFY_AFTER_S = 0.5
 """Duration in seconds, of a load or of a missing answer, from which the user is notified."""
 MAX_FAULTS = 5
 """Maximum number of wrong answers of a renderer; with more, the console stops using the renderer."""
@@ -358,7 +358,7 @@ class Console:
         logger.info("renderer %s: %s; it is retried", name, type(trouble).__name__)
         wait_s = RETRY_S[min(member.attempts, len(RETRY_S) - 1)]
         member.attempts += 1
-        if member.attempts == TELL_AFTER_LOADS:
+        if member.attempts == NOTIFY_AFTER_LOADS:
             why = str(trouble) if isinstance(trouble, ClusterError) else type(trouble).__name__
             self._add_notice(f"the renderer {name} cannot load the case ({why}); Carina keeps trying")
         self._later.append((self._clock() + wait_s, lambda: self._load_content(name)))
@@ -405,7 +405,7 @@ class Console:
                         set_failure(frame.future, CancelledError("the image was superseded by a newer one"))
                 case LaneLate(lane):
                     # The user is notified only of a delay that lasts; the cluster panel shows each delay.
-                    self._later.append((self._clock() + TELL_AFTER_S, partial(self._notify_if_late, str(lane))))
+                    self._later.append((self._clock() + NOTIFY_AFTER_S, partial(self._notify_if_late, str(lane))))
                 case LaneBack():
                     pass
         self.max_open_frames = self._scheduler.max_open_frames

@@ -39,8 +39,8 @@ def cut_rows(
     if not shares or num_rows < 1:
         raise UsageError(f"cannot divide {num_rows} image rows among {len(shares)} renderers", code="usage.cluster")
     # The fastest lanes come first, because the others get none if rows are few. Ties keep their order.
-    room = max(1, num_rows // min_rows)
-    served = sorted(shares, key=lambda lane: -shares[lane])[:room]
+    max_lanes = max(1, num_rows // min_rows)
+    served = sorted(shares, key=lambda lane: -shares[lane])[:max_lanes]
     heights = dict.fromkeys(served, min(min_rows, num_rows))
     spare = num_rows - sum(heights.values())
     # Rows of a lane beyond its minimum; a lane whose share is below the minimum leaves no rows to the others.

@@ -16,7 +16,7 @@ from pydicom.dataset import Dataset
 from pydicom.sequence import Sequence
 from pydicom.tag import BaseTag
 
-from carina.deidentification.profile_table import ACTIONS, KEPT_BINARY, KEPT_TEXT
+from carina.deidentification.profile_table import ACTIONS, RETAINED_BINARY, RETAINED_TEXT
 from carina.deidentification.pseudonyms import Pseudonyms
 from carina.version import VERSION
 from carina.volume.without_warnings import without_warnings
@@ -169,7 +169,7 @@ def _clean_unlisted(element: DataElement, names: Pseudonyms, terms: frozenset[st
         _replace_uids(element, names)
         return True
     if kind in _BINARY:
-        return tag in KEPT_BINARY
+        return tag in RETAINED_BINARY
     if kind in _NUMBERS:
         return isinstance(element.value, int | float) or not isinstance(element.value, str | bytes)
     values = [str(value) for value in (element.value if element.VM > 1 else [element.value])]
@@ -181,7 +181,7 @@ def _clean_unlisted(element: DataElement, names: Pseudonyms, terms: frozenset[st
         if tag in (_MODALITY, _PHOTOMETRIC):
             return all(_CODE.fullmatch(value) for value in values)  # "MONO" may be part of a name
         return all(_CODE.fullmatch(value) for value in values) and not _names_somebody(values, terms)
-    return kind in _TEXT and tag in KEPT_TEXT and not _names_somebody(values, terms)
+    return kind in _TEXT and tag in RETAINED_TEXT and not _names_somebody(values, terms)
 
 
 def _original(value: Any) -> str:

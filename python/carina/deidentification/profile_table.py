@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from typing import Literal, cast
 
-__all__ = ["ACTIONS", "KEPT_BINARY", "KEPT_TEXT", "Action"]
+__all__ = ["ACTIONS", "RETAINED_BINARY", "RETAINED_TEXT", "Action"]
 
 Action = Literal["D", "Z", "X", "U", "Z/D", "X/Z", "X/D", "X/Z/D", "X/Z/U*"]
 """Codes of Table E.1-1: D a dummy value, Z empty or a dummy, X remove, U a new UID, and alternatives."""
@@ -96,7 +96,7 @@ ACTIONS: dict[int, Action] = {
 }
 """Action by tag. Rows for groups of tags (private, curves, overlays) are in ``profile_actions.py``."""
 
-KEPT_TEXT = frozenset({
+RETAINED_TEXT = frozenset({
     0x00080070,  # Manufacturer
     0x00080100, 0x00080102, 0x00080103, 0x00080104,  # code value, scheme, version, meaning
     0x00081090,  # Manufacturer's Model Name
@@ -110,7 +110,7 @@ KEPT_TEXT = frozenset({
 })  # fmt: skip
 """Text attributes that do not identify a patient and that the pixels need. All other text is removed."""
 
-KEPT_BINARY = frozenset({
+RETAINED_BINARY = frozenset({
     0x00280106, 0x00280107, 0x00280120, 0x00280121,  # smallest and largest value, padding value and its limit
     0x00283002, 0x00283006,  # LUT Descriptor, LUT Data
     0x00281101, 0x00281102, 0x00281103, 0x00281201, 0x00281202, 0x00281203,  # colour tables

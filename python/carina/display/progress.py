@@ -22,8 +22,8 @@ Progress = Callable[[str, float | None], None]
 ProgressChoice = Progress | bool | None
 """The argument ``progress`` of every public function.
 
-A function ``f(what, fraction)`` is called with the step and its share done, 0 to 1, or None where the share is unknown.
-True and None show a progress bar in a terminal or a notebook; False shows none.
+A function ``f(what, fraction)`` is called with the step and its completed fraction, 0 to 1, or None where the fraction
+is unknown. True and None show a progress bar in a terminal or a notebook; False shows none.
 """
 
 _inside: ContextVar[bool] = ContextVar("carina_progress_inside", default=False)
@@ -135,21 +135,21 @@ def progress_function(progress: ProgressChoice) -> Progress | None:
     return progress if callable(progress) else None
 
 
-def share_function(
+def fraction_callback(
     progress: Progress | None, what: str, first: float = 0.0, last: float = 1.0
 ) -> Callable[[float], None] | None:
-    """Return a function that reports the share of one step of the work; None without a progress function.
+    """Return a function that reports the fraction of one step of the work; None without a progress function.
 
     Parameters
     ----------
     progress
-        Receives the step and its share.
+        Receives the step and its completed fraction.
     what
         The step.
     first, last
-        The share of the whole work at the step's beginning and at its end.
+        Fraction of the whole work at the step's beginning and at its end.
     """
-    return None if progress is None else lambda share: progress(what, first + (last - first) * share)
+    return None if progress is None else lambda fraction: progress(what, first + (last - first) * fraction)
 
 
 @contextmanager

@@ -111,7 +111,7 @@ def write_film(
     lumen_zyx
         The airway lumen, for the closed wall.
     tree
-        The airway tree, with which the endoscopic look shows rings, the membranous wall and ridges of forks.
+        The airway tree, with which the *endoscopic* preset shows rings, the membranous wall and ridges of forks.
     rate_hz
         Frames per second, 1 to 240.
     speed_mm_s
@@ -151,15 +151,15 @@ def write_film(
     kinds = (FlightPath, AutoFlight, KeyFrameFlight)
     check_type("write_film", "flight", flight, kinds, "create a carina.FlightPath from a route")
     flown = AutoFlight(flight, speed_mm_s=speed_mm_s, pause_s=0.0) if isinstance(flight, FlightPath) else flight
-    look = AirwayView(flown.pose_at(0.0), fov_deg=100.0, width=640, height=480) if view is None else view
-    check_type("write_film", "view", look, AirwayView, "a video can only show the airway view")
-    notes = size_notes(path, look.width, look.height, rate_hz=rate_hz)
-    width, height = even_size(look.width, look.height)
-    look = dataclasses.replace(look, width=width, height=height)
+    template = AirwayView(flown.pose_at(0.0), fov_deg=100.0, width=640, height=480) if view is None else view
+    check_type("write_film", "view", template, AirwayView, "a video can only show the airway view")
+    notes = size_notes(path, template.width, template.height, rate_hz=rate_hz)
+    width, height = even_size(template.width, template.height)
+    template = dataclasses.replace(template, width=width, height=height)
     times = frame_times_s(flown.duration_s, rate_hz)
-    moved = None if look.lps_from_rest is None else MOVED_TEXT
+    moved = None if template.lps_from_rest is None else MOVED_TEXT
     lines = [line for line in (moved, picture_mark(volume.source)) if line is not None]
-    with VideoWriter(path, look.width, look.height, rate_hz=rate_hz) as video:
+    with VideoWriter(path, template.width, template.height, rate_hz=rate_hz) as video:
         renderer = Renderer(volume)
         renderer.set_lumen(lumen_zyx, tree)
         renderer.prepare(report, cancel)
@@ -167,9 +167,9 @@ def write_film(
             if cancel is not None and cancel():
                 raise CancelledError("stopped while rendering the video")
             pose = flown.pose_at(float(time_s))
-            if look.deformation is not None:
-                pose = pose.carried_by(look.deformation)
-            rgb = with_decoration_word(renderer.render(dataclasses.replace(look, pose=pose))).rgb
+            if template.deformation is not None:
+                pose = pose.carried_by(template.deformation)
+            rgb = with_decoration_word(renderer.render(dataclasses.replace(template, pose=pose))).rgb
             video.add(with_text_lines(rgb, lines) if lines else rgb)
             if report is not None:
                 report("rendering frames", (number + 1) / len(times))

@@ -55,7 +55,7 @@ _NEVER_LEFT_OUT: Final = (
 )
 _OF_THE_PATIENT: Final = frozenset({"PatientName", "PatientID", "IssuerOfPatientID"})
 _FRAME_OF_REFERENCE = list(IDENTITY).index("FrameOfReferenceUID")
-_LOOKED_AT = 5
+_NUM_SLICES_CHECKED = 5
 """Number of slices whose pixels are compared with the volume, to distinguish reconstructions with equal geometry."""
 _MAX_CHARS = 64
 _SUFFIX: Final = ".dcm"
@@ -198,7 +198,7 @@ def _is_volume(series: FoundSeries, volume: Volume, watch: Watch) -> bool:
     if not _has_geometry(series, volume):
         return False
     clipping = Clipping()
-    for k in np.unique(np.linspace(0, len(series.slices) - 1, _LOOKED_AT).astype(int)):
+    for k in np.unique(np.linspace(0, len(series.slices) - 1, _NUM_SLICES_CHECKED).astype(int)):
         watch.step("Comparing the CT")
         header = series.slices[k]
         numbers: NDArray[Any] = decode_slice(header).numbers

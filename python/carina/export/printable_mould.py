@@ -204,11 +204,11 @@ def mould_branches(tree: AirwayTree, wall_mm: float, least_diameter_mm: float) -
             continue
         if 2.0 * float(np.median(branch.radius)) < least_diameter_mm:
             continue
-        own_low, own_high = columns.heights(branch.points, branch.radius + wall_mm)
-        both = np.isfinite(own_low) & np.isfinite(low)
-        if np.count_nonzero(both & ((own_low > high) | (own_high < low))) > OVERLAP_CELLS:
+        branch_low, branch_high = columns.heights(branch.points, branch.radius + wall_mm)
+        both = np.isfinite(branch_low) & np.isfinite(low)
+        if np.count_nonzero(both & ((branch_low > high) | (branch_high < low))) > OVERLAP_CELLS:
             continue
-        low, high = np.minimum(low, own_low), np.maximum(high, own_high)
+        low, high = np.minimum(low, branch_low), np.maximum(high, branch_high)
         chosen.append(branch.id)
     return chosen
 
@@ -346,8 +346,8 @@ class _Parting:
         lines = [(one.points, one.radius) for one in branches]
         lines += [(one.line_lps, np.full(2, one.radius_mm)) for one in rods]
         for points, radii in lines:
-            own_low, own_high = columns.heights(points, MIDDLE_SHARE * radii)
-            low, high = np.minimum(low, own_low), np.maximum(high, own_high)
+            branch_low, branch_high = columns.heights(points, MIDDLE_SHARE * radii)
+            low, high = np.minimum(low, branch_low), np.maximum(high, branch_high)
         fixed = np.isfinite(low)
         mean = float(np.mean([one.points[:, 1].mean() for one in branches]))
         heights = np.where(fixed, 0.5 * (np.where(fixed, low, 0.0) + np.where(fixed, high, 0.0)), mean)

@@ -13,7 +13,7 @@ from carina.commands.key_frames import MAX_SPEED_MM_S, MIN_SPEED_MM_S
 from carina.display import one_line
 from carina.errors import UsageError
 from carina.navigate.auto_flight import check_duration
-from carina.navigate.key_legs import STAND_MM, AirwayWay, Leg, build_legs
+from carina.navigate.key_legs import ZERO_LENGTH_MM, AirwayWay, Leg, build_legs
 from carina.scopes import Pose
 
 __all__ = ["MAX_SPEED_MM_S", "MIN_SPEED_MM_S", "KeyFrame", "KeyFrameFlight"]
@@ -22,7 +22,7 @@ __all__ = ["MAX_SPEED_MM_S", "MIN_SPEED_MM_S", "KeyFrame", "KeyFrameFlight"]
 TURN_RAD_S = math.radians(40.0)
 # Time in s in which a flight accelerates from rest to full speed.
 RAMP_S = 0.5
-STAND_S = 0.1
+MIN_TURN_S = 0.1
 
 
 @one_line
@@ -164,7 +164,7 @@ class KeyFrameFlight:
         else:
             speeds = [speed_mm_s if frame.speed_mm_s is None else frame.speed_mm_s for frame in frames[1:]]
             self._laws = _leg_motions(self._legs, rests, speeds)
-            turns_s = [max(leg.turn_rad / TURN_RAD_S, STAND_S) for leg in self._legs]
+            turns_s = [max(leg.turn_rad / TURN_RAD_S, MIN_TURN_S) for leg in self._legs]
             durations_s = [s if law is None else law.duration_s for law, s in zip(self._laws, turns_s, strict=True)]
             self._times = np.concatenate([[0.0], np.cumsum(durations_s)])
             check_duration(self.duration_s)
@@ -230,7 +230,7 @@ def _leg_motions(legs: Sequence[Leg], rests: Sequence[bool], speeds_mm_s: Sequen
     for leg, speed in zip(legs, speeds_mm_s, strict=True):
         turn_s = leg.turn_rad / TURN_RAD_S
         speeds.append(min(speed, leg.length_mm / turn_s) if turn_s > 0.0 else speed)
-    only_turns = [leg.length_mm <= STAND_MM for leg in legs]
+    only_turns = [leg.length_mm <= ZERO_LENGTH_MM for leg in legs]
     knots = [
         0.0,
         *(

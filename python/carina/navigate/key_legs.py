@@ -21,12 +21,12 @@ Points = NDArray[np.float64]
 STEP_MM = 0.5
 MAX_SAMPLES = 400
 # Lengths below this count as zero: two equal poses can differ by this much after they were saved and read.
-STAND_MM = 1e-6
+ZERO_LENGTH_MM = 1e-6
 # Angle in radians between two legs above which the flight stops at the key frame between them.
 BEND_RAD = math.radians(40.0)
 # Half the length of the airway over which the direction of the camera is averaged, so that the camera turns smoothly
 # into a fork.
-LOOK_MM = 8.0
+DIRECTION_MEAN_MM = 8.0
 # The path moves from a key frame to the centreline over four times their distance, and over at least EASE_MM.
 EASE, EASE_MM = 4.0, 4.0
 # Maximum distance of the rounded path from the corner of the centrelines at a fork, where both lumens are one.
@@ -166,7 +166,7 @@ def build_legs(poses: Sequence[Points], ways: Sequence[AirwayWay | None]) -> tup
     rests = [True] * len(poses)
     for n in range(1, len(found)):
         before, after = found[n - 1], found[n]
-        if before.length_mm <= STAND_MM or after.length_mm <= STAND_MM:
+        if before.length_mm <= ZERO_LENGTH_MM or after.length_mm <= ZERO_LENGTH_MM:
             continue
         one, other = before.tangents[-1], after.tangents[0]
         if float(one @ other) > math.cos(BEND_RAD):
@@ -180,7 +180,7 @@ def _through_space(n: int, at: Points, poses: Sequence[Points], airways: Sequenc
     start, end = at[n], at[n + 1]
     chord = end - start
     length = float(np.linalg.norm(chord))
-    if length <= STAND_MM:
+    if length <= ZERO_LENGTH_MM:
         still = np.zeros((2, 3))
         return Leg(poses[n], poses[n + 1], np.zeros(2), np.array([start, end]), still)
     knot = math.sqrt(length)
@@ -198,7 +198,7 @@ def _through_space(n: int, at: Points, poses: Sequence[Points], airways: Sequenc
             outer = at[beyond] - (start if beyond < n else end)
             outer = -outer if beyond < n else outer
             far = float(np.linalg.norm(outer))
-            if far > STAND_MM:
+            if far > ZERO_LENGTH_MM:
                 gap = math.sqrt(far)
                 return np.asarray(knot * (outer / gap - (outer + chord) / (gap + knot)) + chord)
         return np.asarray(chord, dtype=np.float64)
@@ -214,7 +214,7 @@ def _through_space(n: int, at: Points, poses: Sequence[Points], airways: Sequenc
 def _leg_along_airway(way: AirwayWay, start: Points, end: Points) -> Leg | None:
     """Return the leg along the airways' centreline; None if the airway between the key frames is too short."""
     given_mm = _cumulative(way.points_lps)
-    if given_mm[-1] <= STAND_MM:
+    if given_mm[-1] <= ZERO_LENGTH_MM:
         return None
     path = FlightPath(way.points_lps, max_deviation_mm=ROUND_MM)
     points = path.points_lps
@@ -265,24 +265,24 @@ def _airway_frames(points: Points, mm: NDArray[np.float64], apex_mm: float) -> P
     step = mm[1] - mm[0]
     numbers = np.arange(len(mm))
     # The averaging window is narrower near the ends of the airway, so that its middle stays the averaged point.
-    reach = np.minimum(np.minimum(numbers, numbers[::-1]), max(int(LOOK_MM / step), 0))
-    looks = sums[numbers + reach + 1] - sums[numbers - reach]
-    norms = np.linalg.norm(looks, axis=1)
+    reach = np.minimum(np.minimum(numbers, numbers[::-1]), max(int(DIRECTION_MEAN_MM / step), 0))
+    forwards = sums[numbers + reach + 1] - sums[numbers - reach]
+    norms = np.linalg.norm(forwards, axis=1)
     # A mean direction of length 0 needs opposite directions at a fork, which only defective points have.
-    looks = np.where((norms > 1e-9)[:, None], looks / np.maximum(norms, 1e-12)[:, None], distal)
-    return _with_up_directions(np.asarray(looks, dtype=np.float64))
+    forwards = np.where((norms > 1e-9)[:, None], forwards / np.maximum(norms, 1e-12)[:, None], distal)
+    return _with_up_directions(np.asarray(forwards, dtype=np.float64))
 
 
-def _with_up_directions(looks: Points) -> Points:
+def _with_up_directions(forwards: Points) -> Points:
     """Return camera axes for viewing directions: level if all are far from the anterior axis, else untwisted."""
-    level = bool((np.abs(looks @ ANTERIOR_LPS) < LEVEL_LIMIT).all())
-    frames = np.empty((len(looks), 3, 3))
-    up = upright(looks[0])
-    for n, look in enumerate(looks):
+    level = bool((np.abs(forwards @ ANTERIOR_LPS) < LEVEL_LIMIT).all())
+    frames = np.empty((len(forwards), 3, 3))
+    up = upright(forwards[0])
+    for n, forward in enumerate(forwards):
         # The up direction is transported without twist; where the horizon is level, it is computed again.
-        up = upright(look) if level else up - float(up @ look) * look
+        up = upright(forward) if level else up - float(up @ forward) * forward
         up = up / np.linalg.norm(up)
-        frames[n] = np.column_stack([np.cross(-up, look), -up, look])
+        frames[n] = np.column_stack([np.cross(-up, forward), -up, forward])
     return frames
 
 
@@ -298,13 +298,13 @@ def _turned_level(a: Points, b: Points, share: float) -> Points:
     if sine < 1e-6:
         return orthonormal(a @ rotation_from_vector(share * shortest))
     angle = math.atan2(sine, cosine)
-    looks = np.array([rotation_from_vector(axis / sine * angle * t) @ a[:, 2] for t in np.linspace(0.0, 1.0, 9)])
-    if not (np.abs(looks @ ANTERIOR_LPS) < LEVEL_LIMIT).all():
+    forwards = np.array([rotation_from_vector(axis / sine * angle * t) @ a[:, 2] for t in np.linspace(0.0, 1.0, 9)])
+    if not (np.abs(forwards @ ANTERIOR_LPS) < LEVEL_LIMIT).all():
         return orthonormal(a @ rotation_from_vector(share * shortest))
-    look = rotation_from_vector(axis / sine * angle * share) @ a[:, 2]
+    forward = rotation_from_vector(axis / sine * angle * share) @ a[:, 2]
     roll_a, roll_b = _roll(a), _roll(b)
     roll = roll_a + share * math.remainder(roll_b - roll_a, math.tau)
-    return orthonormal(_with_up_directions(look[None])[0] @ rotation_from_vector(np.array([0.0, 0.0, roll])))
+    return orthonormal(_with_up_directions(forward[None])[0] @ rotation_from_vector(np.array([0.0, 0.0, roll])))
 
 
 def _roll(rotation: Points) -> float:

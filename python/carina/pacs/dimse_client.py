@@ -421,7 +421,7 @@ class DimseClient:
 
 
 class _Receiver:
-    """Stores the images that arrive, and remembers the first problem."""
+    """Handler of received images, which stores each image and records the first error."""
 
     def __init__(
         self, name: str, series_uid: str, folder: RetrievalFolder, images: frozenset[str], watch: Watch

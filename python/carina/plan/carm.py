@@ -346,9 +346,9 @@ def shadow_parts(volume: Volume, tree: AirwayTree) -> ShadowParts:
     lung = np.zeros(box.hu_zyx.shape, dtype=bool)
     known = lungs.known[::every, ::every, ::every]
     first = [int(n) for n in before[::-1]]
-    room = [min(known.shape[axis], lung.shape[axis] - first[axis]) for axis in range(3)]
-    window = tuple(slice(first[axis], first[axis] + room[axis]) for axis in range(3))
-    lung[window] = known[tuple(slice(size) for size in room)]
+    extent = [min(known.shape[axis], lung.shape[axis] - first[axis]) for axis in range(3)]
+    window = tuple(slice(first[axis], first[axis] + extent[axis]) for axis in range(3))
+    lung[window] = known[tuple(slice(size) for size in extent)]
     spine, middle_mm = _spine(box, tree)
     between = np.maximum.accumulate(lung, axis=2) & np.maximum.accumulate(lung[:, :, ::-1], axis=2)[:, :, ::-1]
     x = box.lps_from_ijk[0, 3] + GRID_MM * np.arange(nx)

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carina.display import one_line
-from carina.display.progress import ProgressChoice, progress_function, share_function, shows_progress
+from carina.display.progress import ProgressChoice, fraction_callback, progress_function, shows_progress
 from carina.errors import CancelledError, UsageError, check_type
 from carina.plan.instruments.tools import DEFAULT_TOOL, Tool
 from carina.plan.instruments.tools import tool as tool_named
@@ -36,7 +36,7 @@ from carina.plan.routes.ranking import (
     pointing_rank,
 )
 from carina.plan.routes.route_width import measures_of
-from carina.plan.routes.standing_points import Ways
+from carina.plan.routes.standing_points import CentrelinePoints
 from carina.scopes import ScopePreset, WallField, scope_preset
 from carina.track import Airways, TreeMeasures, wall_field
 from carina.volume import Volume
@@ -189,47 +189,47 @@ def reach_atlas(
     preset = scope_preset(scope) if isinstance(scope, str) else scope
     used = tool_named(tool) if isinstance(tool, str) else tool
 
-    on_share = share_function(progress_function(progress), "going through all airways")
+    on_progress = fraction_callback(progress_function(progress), "going through all airways")
 
-    def say(share: float) -> None:
+    def report(fraction: float) -> None:
         if cancel is not None and cancel():
             raise CancelledError("the atlas was cancelled")
-        if on_share is not None:
-            on_share(share)
+        if on_progress is not None:
+            on_progress(fraction)
 
-    say(0.0)
+    report(0.0)
     if not math.isfinite(used.reach_mm):
         raise UsageError(f"{used.title}: expected a reach in mm; found {used.reach_mm}", code="plan.tool")
     wall = wall_field(volume, airways, cancel=cancel) if wall is None else wall
-    say(0.2)
+    report(0.2)
     box = lung_box(volume)
     lung = np.ascontiguousarray(lung_grid(box)[0])
     matrix = np.array(box.lps_from_ijk, dtype=np.float64)
     matrix[:3, :3] *= STEP_MM / box.step_mm
-    say(0.4)
+    report(0.4)
     measures = measures_of(volume, airways, measures, cancel=cancel)
-    ways = Ways(airways.tree, wall, measures=measures, spacing_mm=max(volume.spacing_mm))
+    centreline = CentrelinePoints(airways.tree, wall, measures=measures, spacing_mm=max(volume.spacing_mm))
     judge = Judge(preset, 0.0, ScoreWeights(), used.reach_mm, used)
     why = judge.channel_limit()
     section_mm = bending_mm(preset)
     # A tool that does not pierce needs a target in a lumen or against it.
-    allowed = lung if used.pierces else lung & _beside_lumen(lung.shape, matrix, ways)
+    allowed = lung if used.pierces else lung & _beside_lumen(lung.shape, matrix, centreline)
     marks = _Marks(allowed, matrix, wall, used, TipDirections(airways.tree, wall, preset))
     tip_mm: dict[int, float] = {branch.id: 0.0 for branch in airways.tree.branches}
-    starts = {int(b): float(ways.along_mm[ways.branch == b].min()) for b in np.unique(ways.branch)}
+    starts = {int(b): float(centreline.along_mm[centreline.branch == b].min()) for b in np.unique(centreline.branch)}
     last: tuple[int, float] | None = None
-    for n in range(len(ways.points)):
-        branch_id, along_mm = int(ways.branch[n]), float(ways.along_mm[n])
-        outlook, _, _ = judge.outlook(ways.asks(n, section_mm))
+    for n in range(len(centreline.points)):
+        branch_id, along_mm = int(centreline.branch[n]), float(centreline.along_mm[n])
+        outlook, _, _ = judge.outlook(centreline.requirements_at(n, section_mm))
         if RANK[outlook] == RANK["does not reach"]:
             continue
         tip_mm[branch_id] = max(tip_mm[branch_id], along_mm - starts[branch_id])
         if why is not None or (last is not None and last[0] == branch_id and along_mm - last[1] < APART_MM):
             continue
         last = branch_id, along_mm
-        say(0.4 + 0.6 * n / len(ways.points))
-        marks.add(StandingPlace(branch_id, along_mm, ways.points[n], ways.forward[n]), RANK[outlook])
-    say(1.0)
+        report(0.4 + 0.6 * n / len(centreline.points))
+        marks.add(StandingPlace(branch_id, along_mm, centreline.points[n], centreline.forward[n]), RANK[outlook])
+    report(1.0)
     return ReachAtlas(preset, used, marks.reach_zyx, lung, matrix, tip_mm, why)
 
 
@@ -279,8 +279,8 @@ class _Marks:
             self._mark(voxels, centres, place.point_lps, None, rank)
             return
         limit = math.cos(math.radians(min(MAX_ANGLE_DEG + MARGIN_DEG, 180.0)))
-        ways = self._sphere[self._sphere @ place.forward >= limit]
-        for tip, attained in self._directions.around(place, ways):
+        directions = self._sphere[self._sphere @ place.forward >= limit]
+        for tip, attained in self._directions.around(place, directions):
             # Voxels with an equal or better value from an earlier tip are not tested again.
             left = self.reach_zyx[voxels[:, 2], voxels[:, 1], voxels[:, 0]] < REACHES - rank
             voxels, centres = voxels[left], centres[left]
@@ -289,7 +289,7 @@ class _Marks:
             if attained.any():
                 # Only targets on the tip's side of the airway count: a plan places the tip on the target's side.
                 near = _on_side(centres - place.point_lps, tip - place.point_lps, place.forward)
-                self._mark(voxels[near], centres[near], tip, ways[attained], rank)
+                self._mark(voxels[near], centres[near], tip, directions[attained], rank)
 
     def _near(self, place: Points, forward: Points, value: int) -> tuple[NDArray[np.int64], Points]:
         """Return the lung voxels with a value below ``value`` that may be centres of targets within reach.
@@ -312,16 +312,18 @@ class _Marks:
         )
         return voxels[near], centres[near]
 
-    def _mark(self, voxels: NDArray[np.int64], centres: Points, tip: Points, ways: Points | None, rank: int) -> None:
+    def _mark(
+        self, voxels: NDArray[np.int64], centres: Points, tip: Points, directions: Points | None, rank: int
+    ) -> None:
         """Mark the voxels that are reached from a tip by needles in the given directions, or in any direction."""
         off = centres - tip
         away = np.linalg.norm(off, axis=1)
         towards = off / np.maximum(away, 1e-9)[:, None]
         needle, cosine = towards, np.ones(len(off))
-        if ways is not None:
-            cosines = towards @ ways.T
+        if directions is not None:
+            cosines = towards @ directions.T
             nearest = cosines.argmax(axis=1)
-            needle, cosine = ways[nearest], np.clip(cosines[np.arange(len(off)), nearest], -1.0, 1.0)
+            needle, cosine = directions[nearest], np.clip(cosines[np.arange(len(off)), nearest], -1.0, 1.0)
         row = np.minimum(np.rint(away / TABLE_STEP_MM).astype(int), self._shares.shape[0] - 1)
         column = np.rint(np.degrees(np.arccos(cosine)) / TABLE_STEP_DEG).astype(int)
         share = np.where(
@@ -362,11 +364,11 @@ def _on_side(off: Points, side: Points, forward: Points) -> NDArray[np.bool_]:
     return found
 
 
-def _beside_lumen(shape_zyx: tuple[int, ...], lps_from_ijk: Points, ways: Ways) -> NDArray[np.bool_]:
+def _beside_lumen(shape_zyx: tuple[int, ...], lps_from_ijk: Points, centreline: CentrelinePoints) -> NDArray[np.bool_]:
     """Return the voxels at which a target may touch a lumen."""
     found = np.zeros(shape_zyx, dtype=bool)
     size = np.array(shape_zyx[::-1])
-    for point, radius in zip(ways.points, ways.radius, strict=True):
+    for point, radius in zip(centreline.points, centreline.radius, strict=True):
         middle = (point - lps_from_ijk[:3, 3]) / STEP_MM
         half = (float(radius) + 0.5 * TARGET_MM + OPEN_MM) / STEP_MM
         low = np.clip(np.floor(middle - half).astype(int), 0, size)

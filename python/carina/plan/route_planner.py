@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from carina.argument_checks import check_arguments, function, instance, lps_points, name_or, number_from, whole_from
-from carina.display.progress import ProgressChoice, progress_function, share_function, shows_progress
+from carina.display.progress import ProgressChoice, fraction_callback, progress_function, shows_progress
 from carina.errors import UsageError, check_type
 from carina.plan.instruments.tools import DEFAULT_TOOL, Tool
 from carina.plan.instruments.tools import tool as tool_named
@@ -202,8 +202,8 @@ def plan_route(
     for name, value, most in (("vessel_margin_mm", vessel_margin_mm, 50.0), ("moved_mm", moved_mm or 0.0, 60.0)):
         if not (math.isfinite(value) and 0.0 <= value <= most):
             raise UsageError(f"{name}: expected 0 to {most:g}; found {value}", code="plan.range")
-    on_share = share_function(progress_function(progress), "planning the routes")
-    report = CancellableProgress(on_share, cancel, "planning was cancelled")
+    on_progress = fraction_callback(progress_function(progress), "planning the routes")
+    report = CancellableProgress(on_progress, cancel, "planning was cancelled")
     request = PlanRequest(
         volume,
         airways,

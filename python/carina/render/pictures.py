@@ -160,7 +160,7 @@ def render_view(
     lumen_zyx
         The airway lumen (nz, ny, nx), required for ``tree``, and for the closed wall of the endoscopic airway view.
     tree
-        The airway tree of that lumen (:class:`carina.track.AirwayTree`); the endoscopic look uses it to draw rings,
+        The airway tree of that lumen (:class:`carina.track.AirwayTree`); the *endoscopic* preset uses it to draw rings,
         membranous wall, colour by region and ridges of forks.
     backend
         Processor of the airway view: CPU or graphics device. Default: CPU.

@@ -159,8 +159,8 @@ class Renderer:
 
         None removes the lumen.
 
-        With the ``tree`` of the lumen (:class:`carina.track.AirwayTree`) the *endoscopic* look draws decoration that is
-        fixed to anatomy: rings, the membranous wall, colour by region, ridges of forks.
+        With the ``tree`` of the lumen (:class:`carina.track.AirwayTree`) the *endoscopic* preset draws decoration that
+        is fixed to anatomy: rings, the membranous wall, colour by region, ridges of forks.
 
         Raises
         ------

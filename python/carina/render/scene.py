@@ -1,6 +1,6 @@
 """Scene of a renderer: voxel values with the endoscopic wall, and radius maps for empty-space skipping.
 
-A scene is replaced as a whole, so no picture sees half a change.
+A change creates a new scene, so each picture is rendered from one consistent state.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Decoration grid: positions on the airway wall for the rings and the membranous wall of the endoscopic look.
+"""Decoration grid: positions on the airway wall for the rings and the membranous wall of the *endoscopic* preset.
 
 The kernel that lights a pixel knows only a point in LPS. This module computes a coarse grid around the wide airways
 that gives, for each cell, the number of rings proximal to it, its side of the airway, and the strength of each part of

@@ -23,7 +23,7 @@ from carina.argument_checks import (
 )
 from carina.breathing import ChestDeformation
 from carina.display import one_line
-from carina.display.progress import ProgressChoice, progress_function, share_function, shows_progress
+from carina.display.progress import ProgressChoice, fraction_callback, progress_function, shows_progress
 from carina.errors import UsageError, refuse_pickle
 
 STEP_MM = 0.6
@@ -125,7 +125,7 @@ class WallField:
             np.ascontiguousarray(triangles, dtype=np.uint32),
             spacing_mm,
             cancel=cancel,
-            progress=share_function(progress_function(progress), "measuring the distance to the wall"),
+            progress=fraction_callback(progress_function(progress), "measuring the distance to the wall"),
         )
         return cls(made)
 

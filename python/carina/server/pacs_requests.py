@@ -131,7 +131,7 @@ class PacsRequests:
                 raise
             except CarinaError as error:
                 if task != "settings":
-                    job.check()  # a stopped job may fail in any way, and nobody waits for its answer
+                    job.check()  # a stopped job may raise any error, and no window waits for its answer
                 window.send(_problem(task, message, error))
 
         self._session.jobs.start(kind or _kind(task, window.number), title, run, of_case=of_case)

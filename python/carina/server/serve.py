@@ -318,8 +318,8 @@ def serve(
                 url = start_url(gate)
                 # A thread is needed because some launchers wait until the browser closes.
                 threading.Thread(target=webbrowser.open, args=(url,), daemon=True).start()
-            # pydicom takes 0.7 s of processor time to load, most of the time to the first slice of a series; it is
-            # loaded while the browser starts.
+            # pydicom takes 0.7 s of processor time to load, which would be most of the time until the first slice of a
+            # series is shown. Therefore a thread loads it while the browser starts.
             threading.Thread(target=_load_dicom_readers, name="carina-dicom", daemon=True).start()
 
         server = make_server(

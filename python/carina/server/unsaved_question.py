@@ -1,4 +1,4 @@
-"""The question on the terminal when Carina ends with unsaved work, and the error with which it ends if work is lost."""
+"""The question on the terminal when Carina ends with unsaved work, and the error that is raised if work is lost."""
 
 from __future__ import annotations
 

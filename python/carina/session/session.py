@@ -259,8 +259,8 @@ class Session:
         listener
             Function that is called with each event.
         window
-            Number of the window that listens. Until the window is removed it has its own sight, and it does not receive
-            events that concern only another window.
+            Number of the window that receives the events. Until the window is removed it has its own sight, and it does
+            not receive events that concern only another window.
         watches
             Whether the window is a permanent observer: it may change only its own sight, and it sees only the case that
             is open now.

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from carina.errors import UsageError
-from carina.plan.instruments.instrument_file import OwnFile
+from carina.plan.instruments.instrument_file import UserFile
 from carina.training.task import Task
 
 FORMAT, VERSION = "carina-task", 1
@@ -26,7 +26,7 @@ def task_from_file(path: str | Path) -> Task:
         If the file cannot be read or contains impossible values. The message states the file, the field, the expected
         and the found value (code ``training.task``).
     """
-    file = OwnFile.read(path, content="one task", code="training.task", remedy=REMEDY)
+    file = UserFile.read(path, content="one task", code="training.task", remedy=REMEDY)
     file.check(FORMAT, VERSION, FIELDS)
     values = dict(file.document)
     del values["format"], values["version"]

@@ -391,8 +391,8 @@ def _letters(number: int) -> str:
 
 
 def _safe_name(name: str) -> str:
-    kept = "".join(c if c.isalnum() or c in "._- ()" else "_" for c in name).lstrip(".")
-    return kept[-120:] or "file"
+    safe = "".join(c if c.isalnum() or c in "._- ()" else "_" for c in name).lstrip(".")
+    return safe[-120:] or "file"
 
 
 def _shown_name(name: str) -> str:

@@ -171,7 +171,7 @@ class VolumeCache:
         clock: Callable[[], float] = time.time,
     ) -> None:
         self._folder = Path(folder)
-        self._max_bytes = self._told_bytes = max_bytes
+        self._max_bytes = self._configured_max_bytes = max_bytes
         self._max_age_s = max_age_s
         self._clock = clock
         self._lock = threading.Lock()
@@ -193,11 +193,11 @@ class VolumeCache:
     @property
     def can_be_on(self) -> bool:
         """Whether :meth:`switch` can switch the cache on: it was not created with 0 bytes."""
-        return self._told_bytes != 0
+        return self._configured_max_bytes != 0
 
     def switch(self, on: bool) -> None:
         """Switch the cache on, or switch it off and delete the stored CTs."""
-        self._max_bytes = self._told_bytes if on else 0
+        self._max_bytes = self._configured_max_bytes if on else 0
         if not on:
             self.empty()
 
@@ -370,7 +370,7 @@ class VolumeCache:
             make_folder(self._folder, what="cached CTs", private=True)
             place = self._folder / name.file_name
             if not self._is_whole(place, name):
-                if not self._make_room(name.num_bytes):
+                if not self._reserve_space(name.num_bytes):
                     return False
                 draft = draft_voxel_file(self._folder, name, volume.hu_zyx, cancel=cancel)
                 with self._lock:
@@ -464,7 +464,7 @@ class VolumeCache:
                 freed += sum(map(_remove, paths))
         return freed
 
-    def _make_room(self, num_bytes: int) -> bool:
+    def _reserve_space(self, num_bytes: int) -> bool:
         """Delete the oldest CTs if necessary, and return whether a CT of this size can be stored."""
         if num_bytes > self._size_limit(sum(seen.st_size for _, _, seen in self._voxels())):
             logger.info("a CT was not cached, because it is larger than the size limit of the cache")

@@ -25,7 +25,9 @@ from carina.volume.message_limits import bounded_name
 from carina.volume.progress import Watch
 from carina.volume.read_limits import MAX_FILES
 
-_MAX_LOOKS = 1_000_000  # Largest number of comparisons of lost files with slices, for all series; it limits the time.
+_MAX_COMPARISONS = (
+    1_000_000  # Largest number of comparisons of lost files with slices, for all series; it limits the time.
+)
 _MAX_SAID = 100
 
 # Many exporters use UIDs as file names. A volume contains no UID, not even in a message.
@@ -201,7 +203,7 @@ class LostFiles:
         for file in content.unused:
             self._by_folder.setdefault(file.path.parent, []).append(file)
             self._by_parent.setdefault(file.path.parent.parent, []).append(file)
-        self._looks_left = _MAX_LOOKS
+        self._comparisons_left = _MAX_COMPARISONS
         self._closed = [file for file in content.unused if file.path.is_dir()]
         self._shapes = {_shape(header.path.name) for header in content.headers} if content.unused else set()
 
@@ -220,9 +222,9 @@ class LostFiles:
             near += [file for parent in {f.parent for f in folders} for file in self._by_parent.get(parent, ())]
         if not near:
             return list(self._closed)
-        self._looks_left -= len(near)
+        self._comparisons_left -= len(near)
         # With thousands of series in one folder, too many files are reported rather than none.
-        if self._looks_left < 0:
+        if self._comparisons_left < 0:
             return [*self._closed, *near[:_MAX_SAID]]
         uids = {header.series_uid for header in slices}
         shapes = {_shape(header.path.name) for header in slices}

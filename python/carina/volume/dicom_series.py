@@ -324,11 +324,10 @@ def _part_by_setting(group: Group) -> list[Group]:
         part = _with_note(
             replace(group, slices=tuple(slices), label=_with_label(group, f"{word} {_setting_text(value)}")), note
         )
-        own_mm = float(np.ptp(_heights(slices)))
-        if own_mm < 0.9 * whole_mm:
-            words = (
-                f"this stack covers {own_mm:.0f} of the {whole_mm:.0f} mm of its series; the rest is listed separately"
-            )
+        stack_mm = float(np.ptp(_heights(slices)))
+        if stack_mm < 0.9 * whole_mm:
+            covered = f"this stack covers {stack_mm:.0f} of the {whole_mm:.0f} mm of its series"
+            words = f"{covered}; the rest is listed separately"
             part = _with_note(part, Note("import.part-of-stack", words, badge=True))
         found.extend(_part_by_setting(part))
     return found

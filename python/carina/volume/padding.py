@@ -51,7 +51,7 @@ class PaddedPixels:
     """Value in HU that replaces the padding of the slice."""
     value: float
     """Most frequent value, after rescaling, of the pixels that are padding."""
-    num_kept: int
+    num_unchanged: int
     """Number of pixels inside the image that have a padding value and are not changed."""
     is_marked: bool
     """Whether the file states which value is padding."""
@@ -199,7 +199,7 @@ class PaddingCount:
     """Sum of the padding of all slices of a series, for a note about it."""
 
     def __init__(self) -> None:
-        self._num_pixels = self._num_kept = 0
+        self._num_pixels = self._num_unchanged = 0
         self._values: dict[float, int] = {}
         self._fills: list[float] = []
         self._is_marked = True
@@ -208,7 +208,7 @@ class PaddingCount:
         """Add the padding of one slice."""
         count = int(np.count_nonzero(padded.inside))
         self._num_pixels += count
-        self._num_kept += padded.num_kept
+        self._num_unchanged += padded.num_unchanged
         self._values[padded.value] = self._values.get(padded.value, 0) + count
         self._fills.append(padded.fill)
         self._is_marked &= padded.is_marked
@@ -226,7 +226,7 @@ class PaddingCount:
         share = 100 * self._num_pixels / num_voxels
         which = "are marked as padding by the file" if self._is_marked else "look like padding, which no tag states"
         words = f"{share:.2g} % of the voxels {which}: they had the value {value:g} and were set to {filled}"
-        if self._num_kept:
-            words += f"; {self._num_kept} voxels with such a value within the picture were not changed"
+        if self._num_unchanged:
+            words += f"; {self._num_unchanged} voxels with such a value within the picture were not changed"
         in_tissue = any(_TISSUE_HU[0] < one < _TISSUE_HU[1] for one in self._values)
         return (Note("import.padding", words, badge=in_tissue or not self._is_marked),)

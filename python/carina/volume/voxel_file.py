@@ -35,7 +35,7 @@ _START = struct.Struct("<8sIII")
 _PAGE = 4096
 _MAX_HEADER_BYTES = 1 << 22
 _CHUNK_BYTES = 1 << 20
-_LOOK_AGAIN_S = 0.05  # interval between checks for cancellation
+_POLL_INTERVAL_S = 0.05  # interval between checks for cancellation
 _THREADS = min(4, os.cpu_count() or 1)
 _NAME = re.compile(r"(?P<digest>[0-9a-f]{64})-(?P<axes>[LRPASI]{3})-(?P<nx>\d{1,9})x(?P<ny>\d{1,9})x(?P<nz>\d{1,9})")
 
@@ -186,7 +186,7 @@ def read_voxel_file(path: Path, name: VoxelName, watch: Watch) -> NDArray[np.int
             waiting = set(running)
             while waiting:
                 watch.step("Reading the cached CT", sum(num_read) / count)
-                done, waiting = wait(waiting, timeout=_LOOK_AGAIN_S, return_when=FIRST_EXCEPTION)
+                done, waiting = wait(waiting, timeout=_POLL_INTERVAL_S, return_when=FIRST_EXCEPTION)
                 for future in done:
                     future.result()
         finally:

@@ -31,7 +31,7 @@ def without_warnings() -> Iterator[None]:
     """Suppress warnings of this thread during the block; threads that the block starts are not included.
 
     ``warnings.catch_warnings`` replaces the filters of all threads: a block in one thread would silence the others, and
-    its end would remove a filter that another thread still needs. So one filter is installed for good, and matches
+    its end would remove a filter that another thread still needs. So one filter is installed permanently, and matches
     only in threads that are in such a block.
 
     Examples

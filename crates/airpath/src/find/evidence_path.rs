@@ -259,7 +259,7 @@ impl Enclosures {
             }
             num_popped += 1;
             if num_popped.is_multiple_of(1 << 13) {
-                watch.report_share(0.5)?;
+                watch.report_fraction(0.5)?;
             }
             if num_popped > MAX_VOXELS {
                 break;

@@ -51,16 +51,16 @@ pub fn extend(
     limits: &ExtensionLimits,
     watch: &impl Watch,
 ) -> Result<Extension, TrackError> {
-    watch.report_share(0.0)?;
+    watch.report_fraction(0.0)?;
     let smooth = smoothed(values);
     let enclosure = Enclosure::new(values.grid(), REACH_MM);
-    watch.report_share(0.2)?;
+    watch.report_fraction(0.2)?;
     let levels = Levels::of_lung(&smooth, lumen, &enclosure, limits);
     let reached = reach(values, &smooth, &enclosure, lumen, levels, limits, watch)?;
     let ran_out = reached.len() > levels.most_reached;
     let (mut added, mut followed) = (Vec::new(), Vec::new());
     if !ran_out {
-        watch.report_share(0.7)?;
+        watch.report_fraction(0.7)?;
         let view = VolumeView::new(&smooth, values.grid()).map_err(|e| TrackError::Argument {
             what: "volume",
             expected: "a full array".to_owned(),

@@ -51,7 +51,7 @@ pub(crate) fn reach(
     // Voxels, with their enclosures, to which every path found so far leads through a gap that is too long.
     let mut waiting: HashMap<u32, i16> = HashMap::new();
     while !wave.is_empty() && nodes.len() <= levels.most_reached {
-        watch.report_share(0.3)?;
+        watch.report_fraction(0.3)?;
         let rises: Vec<i16> = wave
             .par_iter()
             .map(|(at, ..)| {

@@ -266,7 +266,7 @@ fn the_result_does_not_depend_on_the_number_of_threads() {
 fn a_stopped_search_returns_an_error_and_a_lumen_with_marks_is_rejected() {
     struct Never;
     impl carina_leastcost::Watch for Never {
-        fn report_share(&self, _share: f64) -> Result<(), carina_leastcost::TrackError> {
+        fn report_fraction(&self, _fraction: f64) -> Result<(), carina_leastcost::TrackError> {
             Err(carina_leastcost::TrackError::Cancelled)
         }
     }

@@ -188,7 +188,7 @@ impl<'a> Search<'a> {
         let mut paths = Vec::new();
         for (n, &tip) in tips.iter().enumerate() {
             if n.is_multiple_of(1 << 12) {
-                watch.report_share(0.7 + 0.3 * n as f64 / tips.len() as f64)?;
+                watch.report_fraction(0.7 + 0.3 * n as f64 / tips.len() as f64)?;
             }
             if covered[tip as usize] {
                 continue;

@@ -81,7 +81,7 @@ pub fn flood(
     }
     let (first, last) = (limits.first_level, limits.last_level);
     for level in first..=last {
-        watch.report_share(f64::from(level - first) / f64::from((last - first).max(1)))?;
+        watch.report_fraction(f64::from(level - first) / f64::from((last - first).max(1)))?;
         rising.rise_to(level, watch)?;
     }
     rising.fill_holes();
@@ -166,7 +166,7 @@ impl<'a> Rising<'a> {
             let voxel = self.basin[next];
             next += 1;
             if next.is_multiple_of(1 << 16) {
-                watch.report_share(0.0)?;
+                watch.report_fraction(0.0)?;
             }
             let (data, state) = (self.values.data(), &mut self.state);
             let (basin, met) = (&mut self.basin, &mut self.met);

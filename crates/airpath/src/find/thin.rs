@@ -11,7 +11,7 @@ use carina_leastcost::{TrackError, Watch};
 
 use crate::find::extension_levels::{EXTENDED, Followed, LUMEN};
 use crate::find::lung_sample::{LungSample, quantile};
-use crate::find::thin_paths::{Dips, Reached, Ways};
+use crate::find::thin_paths::{Dips, PathTree, Reached};
 use crate::find::thin_profile::{Place, Profile, Requirements, length_mm};
 use crate::find::tube_filter::{ThinSection, TubeFilter, across, sides};
 use crate::find::tubeness::smoothed;
@@ -32,7 +32,7 @@ pub struct ThinLimits {
     pub least_dip: f64,
     /// Minimum mean dip along an airway (rise in value from its middle to its second darkest side); airways with a
     /// smaller mean dip are dropped.
-    pub kept_dip: f64,
+    pub least_mean_dip: f64,
     /// Upper limit of the blur of the CT (sigma), mm.
     pub blur_mm: f64,
     /// Minimum length in mm of a path that continues the end of an airway.
@@ -96,7 +96,7 @@ pub fn extend_thin(
     limits: &ThinLimits,
     watch: &impl Watch,
 ) -> Result<Thin, TrackError> {
-    watch.report_share(0.0)?;
+    watch.report_fraction(0.0)?;
     let grid = values.grid();
     let data = values.data();
     let smooth = smoothed(values);
@@ -125,10 +125,10 @@ pub fn extend_thin(
             ran_out: true,
         });
     }
-    let ways = reached.ways(lumen, dip_threshold);
+    let paths = reached.path_tree(lumen, dip_threshold);
     let requirements = Requirements {
         section,
-        dip: limits.kept_dip,
+        dip: limits.least_mean_dip,
         length_mm: limits.min_length_mm,
     };
     let continues_airway = |places: &[Place]| continues_airway(grid, lumen, places);
@@ -143,7 +143,7 @@ pub fn extend_thin(
     let accepted = accepted_paths(
         values,
         &reached,
-        &ways,
+        &paths,
         dip_threshold,
         &requirements,
         requirements_at,
@@ -189,13 +189,13 @@ struct AcceptedPath {
 fn accepted_paths(
     values: VolumeView<'_, i16>,
     reached: &Reached,
-    ways: &Ways,
+    paths: &PathTree,
     dip_threshold: f64,
     requirements: &Requirements,
     requirements_at: impl Fn(&[Place]) -> Requirements,
     watch: &impl Watch,
 ) -> Result<Vec<AcceptedPath>, TrackError> {
-    let along_mm = |n: u32| ways.along_mm[n as usize];
+    let along_mm = |n: u32| paths.along_mm[n as usize];
     let mut tips: Vec<u32> = (0..reached.nodes.len() as u32)
         .filter(|n| {
             along_mm(*n).is_finite()
@@ -209,13 +209,13 @@ fn accepted_paths(
     let mut accepted = Vec::new();
     for (n, tip) in tips.iter().enumerate() {
         if n.is_multiple_of(1 << 10) {
-            watch.report_share(n as f64 / tips.len() as f64)?;
+            watch.report_fraction(n as f64 / tips.len() as f64)?;
         }
         if covered[*tip as usize] {
             continue;
         }
         let mut way = vec![*tip];
-        while let Some(before) = way.last().and_then(|last| ways.before[*last as usize])
+        while let Some(before) = way.last().and_then(|last| paths.before[*last as usize])
             && !is_kept[before as usize]
         {
             way.push(before);

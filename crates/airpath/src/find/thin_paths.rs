@@ -67,7 +67,7 @@ impl Reached {
             }
         }
         while !wave.is_empty() && nodes.len() <= most {
-            watch.report_share(0.0)?;
+            watch.report_fraction(0.0)?;
             let reached = wave.take();
             dips.measure(&reached);
             for (voxel, left_mm) in reached {
@@ -117,9 +117,9 @@ impl Reached {
 
     /// Compute the least-cost paths from the lumen to all reached voxels; `dip_threshold` is the minimum dip of an
     /// airway.
-    pub(crate) fn ways(&self, lumen: &[u8], dip_threshold: f64) -> Ways {
+    pub(crate) fn path_tree(&self, lumen: &[u8], dip_threshold: f64) -> PathTree {
         let num = self.nodes.len();
-        let mut ways = Ways {
+        let mut paths = PathTree {
             before: vec![None; num],
             along_mm: vec![f32::INFINITY; num],
         };
@@ -145,7 +145,7 @@ impl Reached {
             });
             if from_mm.is_finite() {
                 found[n].cost = (1e3 * f64::from(from_mm) * found[n].weight) as u64;
-                ways.along_mm[n] = from_mm;
+                paths.along_mm[n] = from_mm;
                 open.push(found[n].cost, n as u32);
             }
         }
@@ -164,14 +164,14 @@ impl Reached {
                     let there = here + (1e3 * f64::from(step_mm) * mean) as u64;
                     if there < neighbour.cost {
                         neighbour.cost = there;
-                        ways.before[m as usize] = Some(n);
-                        ways.along_mm[m as usize] = ways.along_mm[n as usize] + step_mm;
+                        paths.before[m as usize] = Some(n);
+                        paths.along_mm[m as usize] = paths.along_mm[n as usize] + step_mm;
                         open.push(there, m);
                     }
                 });
             }
         }
-        ways
+        paths
     }
 }
 
@@ -225,7 +225,7 @@ impl Buckets {
 
 /// Least-cost paths to all nodes, each stored as its previous node and its length.
 #[derive(Debug)]
-pub(crate) struct Ways {
+pub(crate) struct PathTree {
     /// Previous node on the path; `None` for a node beside the lumen.
     pub(crate) before: Vec<Option<u32>>,
     /// Length in mm of the path from the lumen to each node.

@@ -67,7 +67,7 @@ pub(crate) struct Place {
     /// Coordinates in mm along the grid's axes.
     pub(crate) mm: [f64; 3],
     /// HU on the axis of the airway at this position alone.
-    own: f64,
+    unsmoothed: f64,
     /// HU on the axis of the airway at this position, averaged along the path.
     pub(crate) middle: f64,
     /// Rise of HU from the axis to the second darkest side.
@@ -192,8 +192,8 @@ impl Profile {
     fn is_open(&self, num: usize) -> bool {
         let places = &self.places[..num];
         let first = &places[..NUM_FIRST.min(num)];
-        let brightest = first.iter().map(|p| p.own).fold(f64::MIN, f64::max);
-        brightest - median(places, |p| p.own) <= OPENNESS * median(places, |p| p.rise)
+        let brightest = first.iter().map(|p| p.unsmoothed).fold(f64::MIN, f64::max);
+        brightest - median(places, |p| p.unsmoothed) <= OPENNESS * median(places, |p| p.rise)
     }
 
     /// Return whether the path has wall on all sides; a groove between a vessel and a wall is open on one side.
@@ -236,7 +236,7 @@ struct SideValues {
 }
 
 impl Place {
-    fn of_mean(mm: [f64; 3], own: f64, near: &[SideValues]) -> Self {
+    fn of_mean(mm: [f64; 3], unsmoothed: f64, near: &[SideValues]) -> Self {
         let mean = |value: &dyn Fn(&SideValues) -> f64| {
             near.iter().map(value).sum::<f64>() / near.len() as f64
         };
@@ -264,7 +264,7 @@ impl Place {
         let share = ((half - rise) / (rises[outer] - rise).max(1e-9)).clamp(0.0, 1.0);
         Self {
             mm,
-            own,
+            unsmoothed,
             middle,
             dip,
             rise: rises[crest],

@@ -15,7 +15,7 @@ const LIMITS: ThinLimits = ThinLimits {
     brightest: -400,
     least_wall: -700.0,
     least_dip: 22.0,
-    kept_dip: 20.0,
+    least_mean_dip: 20.0,
     blur_mm: 0.85,
     min_length_mm: 2.0,
     min_side_mm: 5.0,
@@ -268,7 +268,7 @@ fn the_result_does_not_depend_on_the_number_of_threads() {
 fn a_stopped_search_returns_an_error() {
     struct Never;
     impl Watch for Never {
-        fn report_share(&self, _share: f64) -> Result<(), TrackError> {
+        fn report_fraction(&self, _fraction: f64) -> Result<(), TrackError> {
             Err(TrackError::Cancelled)
         }
     }

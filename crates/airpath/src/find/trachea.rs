@@ -139,7 +139,7 @@ pub fn find_trachea(
     let slices: Vec<Vec<Spot>> = in_order
         .par_iter()
         .map(|&slice| {
-            watch.report_share(0.0)?;
+            watch.report_fraction(0.0)?;
             Ok(spots_of_air(values, levels, axis, slice))
         })
         .collect::<Result<_, TrackError>>()?;

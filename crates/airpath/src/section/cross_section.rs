@@ -35,7 +35,7 @@ const MAX_CASTS: usize = 4;
 /// Number of planes between two checks of the watch.
 ///
 /// The number is small, so that a picture that waits for the computation is delayed by some milliseconds at most.
-const PLANES_PER_LOOK: usize = 16;
+const PLANES_PER_CHECK: usize = 16;
 /// Standard deviation of one edge due to interpolation and step length, in voxels.
 const EDGE_VOX: f64 = 0.1;
 /// Half of the width of a 95 % interval, in standard deviations.
@@ -127,8 +127,8 @@ pub fn cast_planes(
     watch: &impl Watch,
 ) -> Result<Vec<Cast>, TrackError> {
     let mut sections = Vec::with_capacity(planes.len());
-    for (n, chunk) in planes.chunks(PLANES_PER_LOOK).enumerate() {
-        watch.report_share((n * PLANES_PER_LOOK) as f64 / planes.len() as f64)?;
+    for (n, chunk) in planes.chunks(PLANES_PER_CHECK).enumerate() {
+        watch.report_fraction((n * PLANES_PER_CHECK) as f64 / planes.len() as f64)?;
         let found: Vec<Cast> = chunk
             .par_iter()
             .map(|plane| cast_plane(values, *plane, levels))

@@ -43,10 +43,10 @@ const WIDENED_ACROSS: f64 = 1.36;
 const MIN_ACROSS: f64 = 0.8;
 /// Wall thickness, as a multiple of the blur, above which the wall's half-maximum edges contribute to the measured
 /// thickness.
-const EDGES_TELL_FROM: f64 = 2.2;
+const EDGE_WEIGHT_START: f64 = 2.2;
 /// Increase of the wall thickness above the previous limit, as a multiple of the blur, over which the contribution of
 /// the half-maximum edges grows to all of the measured thickness.
-const EDGES_TELL_OVER: f64 = 1.2;
+const EDGE_WEIGHT_RANGE: f64 = 1.2;
 /// Weight of a ray below which the ray does not count for the thickness of the wall.
 const CERTAIN: f64 = 0.6;
 /// Number of rays on each side of a ray over which the rise of the wall is averaged.
@@ -257,7 +257,7 @@ impl Blur {
                 .map(|n| true_thickness_mm(thick_mm[n], self.along_mm(direction(axes, n))))
                 .collect(),
         ) / sigma;
-        let by_edges_share = ((by_edges - EDGES_TELL_FROM) / EDGES_TELL_OVER).clamp(0.0, 1.0);
+        let edge_weight = ((by_edges - EDGE_WEIGHT_START) / EDGE_WEIGHT_RANGE).clamp(0.0, 1.0);
         let size = Size {
             blur_over_radius: radius.recip().min(MAX_BLURRED),
             across: steepest * ((self.across_mm / sigma).min(MAX_ACROSS) - 1.0),
@@ -267,7 +267,7 @@ impl Blur {
         Correction {
             shift_mm: shift.map(|s| sigma * (s + wider)),
             error: size.error(),
-            wall_mm: sigma * (by_rise + by_edges_share * (by_edges - by_rise)),
+            wall_mm: sigma * (by_rise + edge_weight * (by_edges - by_rise)),
         }
     }
 }

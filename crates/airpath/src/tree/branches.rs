@@ -66,7 +66,7 @@ pub fn find_branches(
     let mut cover = Cover::new(graph, limits);
     for (n, &tip) in candidates.iter().enumerate() {
         if n.is_multiple_of(1 << 12) {
-            watch.report_share(n as f64 / candidates.len() as f64)?;
+            watch.report_fraction(n as f64 / candidates.len() as f64)?;
         }
         if cover.holds(tip) {
             continue;

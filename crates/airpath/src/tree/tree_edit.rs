@@ -115,7 +115,7 @@ pub fn more_tips(
     let mut tips = Vec::new();
     for (n, &tip) in open.iter().enumerate() {
         if n.is_multiple_of(1 << 12) {
-            watch.report_share(n as f64 / open.len() as f64)?;
+            watch.report_fraction(n as f64 / open.len() as f64)?;
         }
         if cover.holds(tip) {
             continue;

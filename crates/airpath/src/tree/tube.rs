@@ -10,7 +10,7 @@ use crate::tree::smooth::{self, Point, cumulative_mm, point_at};
 use carina_leastcost::lumen::LumenGraph;
 
 /// Distance in mm between the positions at which two branches are compared.
-const LOOK_MM: f64 = 0.25;
+const COMPARISON_STEP_MM: f64 = 0.25;
 
 /// Distance in radii between the carina and the start of a branch's own part.
 pub(crate) const PAST_CARINA_RADII: f64 = 0.3;
@@ -148,8 +148,8 @@ impl View<'_> {
     /// wall does.
     pub(crate) fn parting_mm(&self, one: &Tube, other: &Tube) -> Option<f64> {
         let shorter = one.length_mm().min(other.length_mm());
-        (1..=(shorter / LOOK_MM) as usize)
-            .map(|n| n as f64 * LOOK_MM)
+        (1..=(shorter / COMPARISON_STEP_MM) as usize)
+            .map(|n| n as f64 * COMPARISON_STEP_MM)
             .find(|&s| {
                 let [p, q] = [one.at(s), other.at(s)].map(|p| self.grid.to_ijk(Lps(p)).0);
                 !self.graph.sees(p, q)

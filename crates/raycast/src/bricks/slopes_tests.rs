@@ -14,7 +14,7 @@ use carina_grid::{Affine, Camera, Grid, VolumeView};
 use proptest::prelude::*;
 
 /// Appearance of the test pictures.
-const LOOK: Appearance = Appearance {
+const APPEARANCE: Appearance = Appearance {
     guides_mm: [[-1.9, -0.5, 0.0], [1.9, -0.5, 0.3]],
     exposure: Some(9.0),
     ambient: 0.2,
@@ -84,7 +84,7 @@ impl Case {
         let options = FrameOptions {
             interpolation: Interpolation::Trilinear,
             light: None,
-            appearance: Some(LOOK),
+            appearance: Some(APPEARANCE),
             background: [0.0; 3],
         };
         Frame::new(volume, &self.table, camera, options).unwrap()

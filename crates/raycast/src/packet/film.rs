@@ -104,7 +104,7 @@ fn fades<L: Lanes>(l: L, footprint_mm: L::F, per_mm: f32) -> L::F {
 #[inline(always)]
 pub(super) fn film<L: Lanes>(
     l: L,
-    look: &Appearance,
+    appearance: &Appearance,
     lps: [L::F; 3],
     n: [L::F; 3],
     footprint_mm: L::F,
@@ -119,19 +119,19 @@ pub(super) fn film<L: Lanes>(
         pool: s(0.0),
     };
     let near = fades(l, footprint_mm, WRINKLES_PER_MM);
-    if look.specks > 0.0 && l.bits(l.less(s(0.0), near)) != 0 {
+    if appearance.specks > 0.0 && l.bits(l.less(s(0.0), near)) != 0 {
         let from = l.fma(thick, s(-GATHER), s(DROP_FROM));
         let (above, drop) = bump(l, bumps, from, n);
         film.drop = drop;
-        film.glint = l.mul(l.mul(above, near), s(DROP_GLINT * look.specks));
+        film.glint = l.mul(l.mul(above, near), s(DROP_GLINT * appearance.specks));
     }
-    if look.secretions > 0.0 {
+    if appearance.secretions > 0.0 {
         // The lowest wall in a supine patient is the one whose normal points to the front, LPS -y.
         let floor = smooth(l, l.fma(n[1], s(FLOOR[0]), s(FLOOR[1])));
         let (level, _) = noise(l, scaled(l, s(POOLS_PER_MM), q), WET_SEEDS[0]);
         let filled = l.add(
             level,
-            s(look.secretions.mul_add(POOL_LEVEL[0], POOL_LEVEL[1])),
+            s(appearance.secretions.mul_add(POOL_LEVEL[0], POOL_LEVEL[1])),
         );
         film.pool = l.mul(floor, smooth(l, l.mul(filled, s(POOL_EDGE))));
         let bubbles = noise(l, scaled(l, s(BUBBLES_PER_MM), q), WET_SEEDS[1]);

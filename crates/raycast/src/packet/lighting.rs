@@ -87,7 +87,7 @@ fn lit<L: Lanes>(
 ) -> [L::F; 3] {
     let s = |v: f32| l.splat(v);
     let (delta, hit, albedo) = (walls.delta, walls.hit, walls.albedo);
-    let look = &light.look;
+    let appearance = &light.appearance;
     let p = along(l, splat(l, light.origin_ijk), hit, delta);
     let step = turn(l, &light.lps_from_ijk, delta);
     // The vector in mm from the camera's centre to the wall.
@@ -110,9 +110,9 @@ fn lit<L: Lanes>(
     // Mucosa is paler where it covers cartilage, that is, where the CT is dense beneath it.
     let into = turn(l, &light.ijk_from_lps, n);
     let dense = values.at(l, along(l, p, s(-BENEATH_MM), into));
-    let [from, to] = look.pale_hu;
+    let [from, to] = appearance.pale_hu;
     let pale = l.mul(l.sub(dense, s(from)), s(1.0 / (to - from)));
-    let mut pale = l.mul(smooth(l, pale), s(look.paleness));
+    let mut pale = l.mul(smooth(l, pale), s(appearance.paleness));
 
     let mut n = n;
     let mut n_film = n;
@@ -125,10 +125,10 @@ fn lit<L: Lanes>(
         lps = along(l, splat(l, *origin), s(1.0), turn(l, matrix, lps));
     }
     let footprint = l.mul(depth, s(light.pixel_mm));
-    let decoration = decoration.filter(|_| look.knows_anatomy());
-    let textured = look.texture > 0.0 || look.vessels > 0.0 || look.specks > 0.0;
+    let decoration = decoration.filter(|_| appearance.knows_anatomy());
+    let textured = appearance.texture > 0.0 || appearance.vessels > 0.0 || appearance.specks > 0.0;
     if textured || decoration.is_some() {
-        let skin = texture(l, look, lps, footprint);
+        let skin = texture(l, appearance, lps, footprint);
         (thick, tint, bumps) = (skin.film, skin.tint, skin.bumps);
         if let Some(field) = decoration {
             let wall = Wall {
@@ -137,7 +137,7 @@ fn lit<L: Lanes>(
                 facing: l.abs(dot(l, n, back)),
                 footprint_mm: footprint,
             };
-            let laid = decorate(l, look, field, &wall, &skin);
+            let laid = decorate(l, appearance, field, &wall, &skin);
             n = unit(l, along(l, n, s(-1.0), laid.form)).0;
             pale = l.fma(l.sub(s(1.0), pale), laid.pale, pale);
             for c in 0..3 {
@@ -155,13 +155,13 @@ fn lit<L: Lanes>(
     let n_matt = unit(l, along(l, n, s(1.0), n_film)).0;
     // This is not a closure, because a closure would be compiled without the instruction set, with a call for each
     // operation.
-    let wet = if look.specks > 0.0 || look.secretions > 0.0 {
-        Some(film(l, look, lps, n, footprint, thick, bumps))
+    let wet = if appearance.specks > 0.0 || appearance.secretions > 0.0 {
+        Some(film(l, appearance, lps, n, footprint, thick, bumps))
     } else {
         None
     };
     if let Some(wet) = wet
-        && look.secretions > 0.0
+        && appearance.secretions > 0.0
     {
         wet.fill(l, &mut colour, &mut n_film);
     }
@@ -176,12 +176,15 @@ fn lit<L: Lanes>(
         let square = l.add(dot(l, to_guide, to_guide), s(GUIDE_MM2));
         let strength = l.div(s(0.5 * light.exposure), square);
         let facing = dot(l, n_matt, dir);
-        let facing = l.mul(l.add(facing, s(look.wrap)), s(1.0 / (1.0 + look.wrap)));
+        let facing = l.mul(
+            l.add(facing, s(appearance.wrap)),
+            s(1.0 / (1.0 + appearance.wrap)),
+        );
         direct = l.fma(strength, l.max(facing, s(0.0)), direct);
         round = l.add(round, strength);
         let (half, _) = unit(l, along(l, back, s(1.0), dir));
         let mut highlight = l.max(dot(l, n_film, half), s(0.0));
-        for _ in 0..look.shininess_log2 {
+        for _ in 0..appearance.shininess_log2 {
             highlight = l.mul(highlight, highlight);
         }
         gloss = l.fma(strength, highlight, gloss);
@@ -189,8 +192,8 @@ fn lit<L: Lanes>(
             glints = l.fma(strength, wet.towards(l, half), glints);
         }
     }
-    let gloss = l.fma(l.mul(gloss, thick), s(look.gloss), glints);
-    let round = l.mul(round, s(look.ambient));
+    let gloss = l.fma(l.mul(gloss, thick), s(appearance.gloss), glints);
+    let round = l.mul(round, s(appearance.ambient));
     let mut out = colour;
     for c in 0..3 {
         let received = l.fma(round, s(TINT_RGB[c]), direct);
@@ -276,7 +279,7 @@ fn light_row<L: Lanes>(
     let s = |v: f32| l.splat(v);
     let (rgb, _) = rgb.as_chunks_mut::<3>();
     for (block, (pixels, out)) in gathered.chunks(L::N).zip(rgb.chunks_mut(L::N)).enumerate() {
-        let misty = light.look.fog > 0.0;
+        let misty = light.appearance.fog > 0.0;
         if !misty && pixels.iter().all(|pixel| pixel.hit < 0.0) {
             for (pixel, out) in pixels.iter().zip(out) {
                 *out = unlit(pixel).to_rgb8(light.background);
@@ -383,8 +386,8 @@ pub(crate) fn brightness(
 ) -> Vec<f32> {
     let l = Portable;
     let mut plain = light.clone();
-    plain.look = plain.look.undecorated();
-    (plain.look.gloss, plain.exposure) = (0.0, 1.0);
+    plain.appearance = plain.appearance.undecorated();
+    (plain.appearance.gloss, plain.exposure) = (0.0, 1.0);
     let mut out = Vec::with_capacity(pixels.len());
     for pixels in pixels.chunks(Portable::N) {
         let places = pixels

@@ -30,6 +30,6 @@ pub(super) fn mist<L: Lanes>(l: L, light: &Lighting, delta: [L::F; 3]) -> L::F {
     // The mist has patches of different opacity, but covers the whole lens.
     l.mul(
         l.fma(patch, s(MIST_COVER[0]), s(MIST_COVER[1])),
-        s(light.look.fog),
+        s(light.appearance.fog),
     )
 }

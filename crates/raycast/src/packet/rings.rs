@@ -218,12 +218,12 @@ pub(super) struct Wall<L: Lanes> {
 ///
 /// Away from the trachea, and where the region is unknown, the mucosa is redder.
 #[inline(always)]
-fn hue<L: Lanes>(l: L, look: &Appearance, proximal: L::F) -> [L::F; 3] {
+fn hue<L: Lanes>(l: L, appearance: &Appearance, proximal: L::F) -> [L::F; 3] {
     let mut factors = [proximal; 3];
     for c in 0..3 {
         let [trachea, beyond] = HUE[c];
         let region = l.fma(proximal, l.splat(trachea - beyond), l.splat(beyond));
-        factors[c] = l.fma(l.splat(look.hue), region, l.splat(1.0));
+        factors[c] = l.fma(l.splat(appearance.hue), region, l.splat(1.0));
     }
     factors
 }
@@ -234,7 +234,7 @@ fn hue<L: Lanes>(l: L, look: &Appearance, proximal: L::F) -> [L::F; 3] {
 #[inline(always)]
 pub(super) fn decorate<L: Lanes>(
     l: L,
-    look: &Appearance,
+    appearance: &Appearance,
     field: &Decoration<'_>,
     wall: &Wall<L>,
     skin: &Texture<L>,
@@ -243,7 +243,7 @@ pub(super) fn decorate<L: Lanes>(
     let one = s(1.0);
     let (mut pale, mut form) = (s(0.0), [s(0.0); 3]);
     let Some(place) = place(l, field, wall.lps) else {
-        let tint = hue(l, look, s(0.0));
+        let tint = hue(l, appearance, s(0.0));
         return Decorated { form, pale, tint };
     };
     let [left, back] = place.across;
@@ -251,14 +251,14 @@ pub(super) fn decorate<L: Lanes>(
     // Only a wall close to the ideal tube has rings; a flat back wall is nearer to the axis than a tube's wall.
     let beyond = smooth(l, l.fma(off, s(NEAR_AXIS[0]), s(NEAR_AXIS[1])));
     let proximal = l.mul(place.proximal, beyond);
-    let mut tint = hue(l, look, proximal);
+    let mut tint = hue(l, appearance, proximal);
     // The ridge between two daughter branches is cartilage under thin mucosa.
-    let ridge = l.mul(l.mul(place.spur, s(look.spurs)), beyond);
+    let ridge = l.mul(l.mul(place.spur, s(appearance.spurs)), beyond);
     // Most walls beyond the lobar bronchi have neither rings nor a membranous wall, so the function returns early for
     // them.
     let either = l.max(
-        l.mul(place.rings, s(look.rings)),
-        l.mul(place.membrane, s(look.membrane)),
+        l.mul(place.rings, s(appearance.rings)),
+        l.mul(place.membrane, s(appearance.membrane)),
     );
     if l.bits(l.less(s(0.0), either)) == 0 {
         pale = l.min(l.mul(ridge, s(PALE_RIDGE)), one);
@@ -299,7 +299,10 @@ pub(super) fn decorate<L: Lanes>(
         one,
     );
     let no_back = l.fma(l.mul(at_back, place.membrane), s(-1.0), one);
-    let strength = l.mul(l.mul(place.rings, s(look.rings)), l.mul(plates, no_back));
+    let strength = l.mul(
+        l.mul(place.rings, s(appearance.rings)),
+        l.mul(plates, no_back),
+    );
     let strength = l.mul(strength, l.mul(on_tube, between));
     let rise = l.mul(l.mul(strength, seen), l.mul(steep, s(HEIGHT)));
     form = along(l, form, rise, axis);
@@ -313,7 +316,7 @@ pub(super) fn decorate<L: Lanes>(
     // Folds run along the membranous wall. The wall is flat, so its normal turns less across the wall than on a round
     // tube.
     let membrane = l.mul(
-        l.mul(place.membrane, s(look.membrane)),
+        l.mul(place.membrane, s(appearance.membrane)),
         l.mul(at_back, l.mul(on_back, between)),
     );
     let mut fold = s(0.0);

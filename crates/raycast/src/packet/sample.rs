@@ -89,7 +89,7 @@ impl Scene<'_> {
         let mut rgb = [r, g, b];
         if let (true, Some(light)) = (SHADED, &self.frame.options.light) {
             let facing = self.facing(l, &packet.delta, gradient);
-            // The computation equals that of `Light::shares`.
+            // The computation equals that of `Light::factors`.
             let mut highlight = facing;
             for _ in 0..light.shininess_log2 {
                 highlight = l.mul(highlight, highlight);
@@ -98,12 +98,12 @@ impl Scene<'_> {
             let distance = l.mul(t, l.splat(self.frame.step_mm));
             let part = l.div(distance, l.splat(light.reach_mm));
             let left = l.div(l.splat(1.0), l.fma(part, part, l.splat(1.0)));
-            let own = l.fma(facing, l.splat(light.diffuse), l.splat(light.ambient));
-            let own = l.mul(own, left);
+            let diffuse = l.fma(facing, l.splat(light.diffuse), l.splat(light.ambient));
+            let diffuse = l.mul(diffuse, left);
             let white = l.mul(l.mul(l.splat(light.specular), highlight), left);
             let white = l.mul(white, alpha);
             for c in 0..3 {
-                rgb[c] = l.fma(own, rgb[c], white);
+                rgb[c] = l.fma(diffuse, rgb[c], white);
             }
         }
         for c in 0..3 {

@@ -224,20 +224,20 @@ fn vessel<L: Lanes>(
 #[inline(always)]
 pub(super) fn texture<L: Lanes>(
     l: L,
-    look: &Appearance,
+    appearance: &Appearance,
     lps: [L::F; 3],
     footprint_mm: L::F,
 ) -> Texture<L> {
     let s = |v: f32| l.splat(v);
     let q = turn(l, &ASKEW, lps);
     let (mottled, bend) = noise(l, scaled(l, s(MOTTLE_PER_MM), q), SKIN_SEEDS[0]);
-    let mottle = l.mul(mottled, s(look.texture));
+    let mottle = l.mul(mottled, s(appearance.texture));
     let (grain, slope) = noise(l, scaled(l, s(RELIEF_PER_MM), q), SKIN_SEEDS[1]);
     let (wrinkle, coarse) = noise(l, scaled(l, s(WRINKLES_PER_MM), q), SKIN_SEEDS[2]);
     let mut vessels = s(0.0);
-    if look.vessels > 0.0 {
+    if appearance.vessels > 0.0 {
         vessels = vessel(l, (mottled, bend), (wrinkle, coarse), footprint_mm);
-        vessels = l.mul(vessels, s(look.vessels));
+        vessels = l.mul(vessels, s(appearance.vessels));
     }
     let mut tint = [vessels; 3];
     for c in 0..3 {
@@ -245,7 +245,7 @@ pub(super) fn texture<L: Lanes>(
         let without_mottle = l.fma(vessels, s(of_vessel), s(1.0));
         tint[c] = l.fma(mottle, s(of_mottle), without_mottle);
     }
-    let slope_of = s(RELIEF * look.texture);
+    let slope_of = s(RELIEF * appearance.texture);
     let fine = l.mul(sharp(l, footprint_mm, RELIEF_PER_MM), slope_of);
     let wide = l.mul(sharp(l, footprint_mm, WRINKLES_PER_MM), slope_of);
     let mut relief = slope;

@@ -221,7 +221,7 @@ impl Chest {
 }
 
 /// Return the transfer functions of the product, each with its name, its points `[hu, r, g, b, alpha]` and its light.
-pub(crate) fn looks() -> Vec<(&'static str, Vec<[f64; 5]>, Shares)> {
+pub(crate) fn transfer_functions() -> Vec<(&'static str, Vec<[f64; 5]>, Shares)> {
     vec![
         (
             "endoscopic",

@@ -13,7 +13,7 @@ use carina_raycast::{
 use proptest::prelude::*;
 
 /// Appearance of the test pictures.
-const LOOK: Appearance = Appearance {
+const APPEARANCE: Appearance = Appearance {
     guides_mm: [[-1.9, -0.5, 0.0], [1.9, -0.5, 0.3]],
     exposure: None,
     ambient: 0.2,
@@ -34,9 +34,9 @@ const LOOK: Appearance = Appearance {
     spurs: 0.0,
 };
 
-fn lit(look: Appearance) -> FrameOptions {
+fn lit(appearance: Appearance) -> FrameOptions {
     FrameOptions {
-        appearance: Some(look),
+        appearance: Some(appearance),
         ..options(false, false)
     }
 }
@@ -54,8 +54,8 @@ proptest! {
         let volume = VolumeView::new(&scene.hu, &scene.grid).unwrap();
         let table = scene.table(false);
         let [specks, secretions, fog] = wet;
-        let look = Appearance { texture, vessels, silhouettes, specks, secretions, fog, ..LOOK };
-        let frame = Frame::new(volume, &table, scene.camera.clone(), lit(look)).unwrap();
+        let appearance = Appearance { texture, vessels, silhouettes, specks, secretions, fog, ..APPEARANCE };
+        let frame = Frame::new(volume, &table, scene.camera.clone(), lit(appearance)).unwrap();
         let entries = scene.transfer(false).range(-1100, 3100);
         let labels = class_labels(&scene.hu, -1100, &entries, true).unwrap().labels;
         let radius = cell_map(&labels, scene.grid.shape_zyx()).unwrap();
@@ -90,7 +90,7 @@ fn walls_of_a_volume_without_packets_are_shaded() {
     scene.camera = Camera::new(pose, 1.2, 20, 16).unwrap();
     let volume = VolumeView::new(&scene.hu, &scene.grid).unwrap();
     let table = scene.table(false);
-    let frame = Frame::new(volume, &table, scene.camera.clone(), lit(LOOK)).unwrap();
+    let frame = Frame::new(volume, &table, scene.camera.clone(), lit(APPEARANCE)).unwrap();
     let truth = cast_rows_scalar(&frame, Method::Brute, 0..16, InstructionSet::Portable)
         .unwrap()
         .0;
@@ -146,7 +146,7 @@ fn the_texture_of_a_wall_stays_on_it_when_the_scope_moves_and_turns() {
     let table = TransferTable::new(&transfer, 0.3, -1024, 100).unwrap();
     // The difference that texture or vessels make, level by level, without highlights and under a light that hardly
     // depends on the pose.
-    let look = Appearance {
+    let appearance = Appearance {
         exposure: Some(12.0),
         gloss: 0.0,
         specks: 0.0,
@@ -154,7 +154,7 @@ fn the_texture_of_a_wall_stays_on_it_when_the_scope_moves_and_turns() {
         silhouettes: false,
         ambient: 4.0,
         guides_mm: [[0.0; 3]; 2],
-        ..LOOK
+        ..APPEARANCE
     };
     let change = |camera: &Camera, [texture, vessels]: [f32; 2]| {
         let picture = |texture, vessels| {
@@ -163,7 +163,7 @@ fn the_texture_of_a_wall_stays_on_it_when_the_scope_moves_and_turns() {
                 ..lit(Appearance {
                     texture,
                     vessels,
-                    ..look
+                    ..appearance
                 })
             };
             let frame = Frame::new(volume, &table, camera.clone(), options).unwrap();
@@ -234,50 +234,56 @@ fn appearance_values_out_of_range_are_rejected() {
     let bad = [
         Appearance {
             guides_mm: [[f32::NAN; 3]; 2],
-            ..LOOK
+            ..APPEARANCE
         },
         Appearance {
             exposure: Some(-1.0),
-            ..LOOK
+            ..APPEARANCE
         },
         Appearance {
             ambient: f32::INFINITY,
-            ..LOOK
+            ..APPEARANCE
         },
-        Appearance { wrap: 1.1, ..LOOK },
+        Appearance {
+            wrap: 1.1,
+            ..APPEARANCE
+        },
         Appearance {
             gloss: -0.1,
-            ..LOOK
+            ..APPEARANCE
         },
         Appearance {
             shininess_log2: 11,
-            ..LOOK
+            ..APPEARANCE
         },
         Appearance {
             paleness: 2.0,
-            ..LOOK
+            ..APPEARANCE
         },
         Appearance {
             pale_hu: [100.0, 100.0],
-            ..LOOK
+            ..APPEARANCE
         },
         Appearance {
             texture: f32::NAN,
-            ..LOOK
+            ..APPEARANCE
         },
         Appearance {
             vessels: -0.1,
-            ..LOOK
+            ..APPEARANCE
         },
         Appearance {
             specks: f32::NAN,
-            ..LOOK
+            ..APPEARANCE
         },
         Appearance {
             secretions: 1.1,
-            ..LOOK
+            ..APPEARANCE
         },
-        Appearance { fog: -0.1, ..LOOK },
+        Appearance {
+            fog: -0.1,
+            ..APPEARANCE
+        },
     ];
     let scene = Scene::fixed([0.0; 3], [0.0, 0.0, 1.0]);
     let volume = VolumeView::new(&scene.hu, &scene.grid).unwrap();
@@ -287,18 +293,18 @@ fn appearance_values_out_of_range_are_rejected() {
             .unwrap_err()
             .code()
     };
-    for look in bad {
-        assert_eq!(refused(lit(look)), "render.setting", "{look:?}");
+    for appearance in bad {
+        assert_eq!(refused(lit(appearance)), "render.setting", "{appearance:?}");
     }
     // The invalid options are two lights at once, and a shading without a gradient.
     let both = FrameOptions {
-        appearance: Some(LOOK),
+        appearance: Some(APPEARANCE),
         ..options(true, false)
     };
     assert_eq!(refused(both), "render.setting");
     let nearest = FrameOptions {
         interpolation: Interpolation::Nearest,
-        ..lit(LOOK)
+        ..lit(APPEARANCE)
     };
     assert_eq!(refused(nearest), "render.setting");
 }

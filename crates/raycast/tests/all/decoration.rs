@@ -13,7 +13,7 @@ use carina_raycast::{
 use proptest::prelude::*;
 
 /// Appearance of the test pictures.
-const LOOK: Appearance = Appearance {
+const APPEARANCE: Appearance = Appearance {
     guides_mm: [[-1.9, -0.5, 0.0], [1.9, -0.5, 0.3]],
     exposure: None,
     ambient: 0.2,
@@ -34,9 +34,9 @@ const LOOK: Appearance = Appearance {
     spurs: 1.0,
 };
 
-fn lit(look: Appearance) -> FrameOptions {
+fn lit(appearance: Appearance) -> FrameOptions {
     FrameOptions {
-        appearance: Some(look),
+        appearance: Some(appearance),
         ..options(false, false)
     }
 }
@@ -74,9 +74,9 @@ proptest! {
         let volume = VolumeView::new(&scene.hu, &scene.grid).unwrap();
         let table = scene.table(false);
         let [rings, membrane, hue, spurs] = parts;
-        let look = Appearance { rings, membrane, hue, spurs, texture, ..LOOK };
+        let appearance = Appearance { rings, membrane, hue, spurs, texture, ..APPEARANCE };
         let field = Decoration::new(&cells, SHAPE, origin, cell_mm).unwrap();
-        let frame = Frame::new(volume, &table, scene.camera.clone(), lit(look)).unwrap().decorated_by(field);
+        let frame = Frame::new(volume, &table, scene.camera.clone(), lit(appearance)).unwrap().decorated_by(field);
         let entries = scene.transfer(false).range(-1100, 3100);
         let labels = class_labels(&scene.hu, -1100, &entries, true).unwrap().labels;
         let radius = cell_map(&labels, scene.grid.shape_zyx()).unwrap();
@@ -108,7 +108,7 @@ fn decoration_changes_light_and_colour_and_moves_no_wall() {
         })
         .collect();
     let field = Decoration::new(&cells, [5; 3], middle, 10.0).unwrap();
-    let plain = Frame::new(volume, &table, scene.camera.clone(), lit(LOOK)).unwrap();
+    let plain = Frame::new(volume, &table, scene.camera.clone(), lit(APPEARANCE)).unwrap();
     let decorated = plain.clone().decorated_by(field);
     for simd in InstructionSet::available() {
         let [with, without] = [&decorated, &plain].map(|frame| {
@@ -120,7 +120,7 @@ fn decoration_changes_light_and_colour_and_moves_no_wall() {
         });
         assert!(with.0 != without.0);
         assert!(with.1 == without.1);
-        let bare = LOOK_WITHOUT_ANATOMY;
+        let bare = APPEARANCE_WITHOUT_ANATOMY;
         let bare = Frame::new(volume, &table, scene.camera.clone(), lit(bare)).unwrap();
         let found = cast_rows(
             &bare.clone().decorated_by(field),
@@ -135,7 +135,7 @@ fn decoration_changes_light_and_colour_and_moves_no_wall() {
 
 #[test]
 fn folds_do_not_darken_a_wall_that_faces_sideways() {
-    // The scene has two walls, to the left and right of a camera that looks along them. The decoration marks both as
+    // The scene has two walls, to the left and right of a camera that appearances along them. The decoration marks both as
     // the back wall, as can happen in a trachea with corners.
     let grid = Grid::new([48, 24, 24], Affine::IDENTITY).unwrap();
     let hu: Vec<i16> = (0..grid.num_voxels())
@@ -166,7 +166,7 @@ fn folds_do_not_darken_a_wall_that_faces_sideways() {
     let field = Decoration::new(&cells, [6, 4, 4], [-1.0; 3], 10.0).unwrap();
     let volume = VolumeView::new(&scene.hu, &scene.grid).unwrap();
     let table = scene.table(false);
-    let look = Appearance {
+    let appearance = Appearance {
         texture: 0.0,
         vessels: 0.0,
         specks: 0.0,
@@ -174,9 +174,9 @@ fn folds_do_not_darken_a_wall_that_faces_sideways() {
         gloss: 0.0,
         silhouettes: false,
         exposure: Some(60.0),
-        ..LOOK
+        ..APPEARANCE
     };
-    let plain = Frame::new(volume, &table, scene.camera.clone(), lit(look)).unwrap();
+    let plain = Frame::new(volume, &table, scene.camera.clone(), lit(appearance)).unwrap();
     let [with, without] = [plain.clone().decorated_by(field), plain].map(|frame| {
         let simd = InstructionSet::Portable;
         cast_rows(&frame, Method::Brute, 0..64, simd).unwrap().0
@@ -192,12 +192,12 @@ fn folds_do_not_darken_a_wall_that_faces_sideways() {
 }
 
 /// Appearance without the features that depend on anatomy.
-const LOOK_WITHOUT_ANATOMY: Appearance = Appearance {
+const APPEARANCE_WITHOUT_ANATOMY: Appearance = Appearance {
     rings: 0.0,
     membrane: 0.0,
     hue: 0.0,
     spurs: 0.0,
-    ..LOOK
+    ..APPEARANCE
 };
 
 #[test]
@@ -216,18 +216,24 @@ fn invalid_decorations_are_rejected() {
     let volume = Scene::fixed([0.0; 3], [0.0, 0.0, 1.0]);
     let table = volume.table(false);
     let view = VolumeView::new(&volume.hu, &volume.grid).unwrap();
-    for look in [
+    for appearance in [
         Appearance {
             rings: -0.1,
-            ..LOOK
+            ..APPEARANCE
         },
         Appearance {
             membrane: f32::NAN,
-            ..LOOK
+            ..APPEARANCE
         },
-        Appearance { hue: 2.1, ..LOOK },
-        Appearance { spurs: 1.1, ..LOOK },
+        Appearance {
+            hue: 2.1,
+            ..APPEARANCE
+        },
+        Appearance {
+            spurs: 1.1,
+            ..APPEARANCE
+        },
     ] {
-        assert!(Frame::new(view, &table, volume.camera.clone(), lit(look)).is_err());
+        assert!(Frame::new(view, &table, volume.camera.clone(), lit(appearance)).is_err());
     }
 }

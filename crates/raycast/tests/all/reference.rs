@@ -165,14 +165,14 @@ impl World<'_> {
                 continue;
             }
             let alpha = 1.0 - (1.0 - alpha).powf(self.step_mm);
-            let (own, white) = self.light.map_or((1.0, 0.0), |light| {
+            let (diffuse, white) = self.light.map_or((1.0, 0.0), |light| {
                 let g_ijk = Self::between(point, |at| self.difference(at));
                 let g_lps: [f64; 3] =
                     std::array::from_fn(|c| (0..3).map(|a| ijk_from_lps[a][c] * g_ijk[a]).sum());
                 lit(light, g_lps, dir, t * self.step_mm)
             });
             for (c, part) in [r, g, b].into_iter().enumerate() {
-                rgb[c] += through * alpha * (own * part + white);
+                rgb[c] += through * alpha * (diffuse * part + white);
             }
             through *= 1.0 - alpha;
         }

@@ -88,17 +88,17 @@ fn spur() -> Spur {
 }
 
 impl Spur {
-    fn frame(&self, camera: Camera, look: Appearance) -> Frame<'_> {
+    fn frame(&self, camera: Camera, appearance: Appearance) -> Frame<'_> {
         let volume = VolumeView::new(&self.hu, &self.grid).unwrap();
         let options = FrameOptions {
-            appearance: Some(look),
+            appearance: Some(appearance),
             ..options(false, false)
         };
         Frame::new(volume, &self.table, camera, options).unwrap()
     }
 
-    fn picture(&self, camera: &Camera, look: Appearance) -> Vec<u8> {
-        let frame = self.frame(camera.clone(), look);
+    fn picture(&self, camera: &Camera, appearance: Appearance) -> Vec<u8> {
+        let frame = self.frame(camera.clone(), appearance);
         let rows = 0..camera.height();
         let simd = InstructionSet::best();
         cast_rows(&frame, Method::LeapTransparent(&self.radius), rows, simd)
@@ -168,7 +168,7 @@ fn two_rays_per_silhouette_pixel_reduce_the_error_and_change_no_other_pixel() {
 fn silhouettes_are_equal_in_strips_with_leaps_and_for_every_caster() {
     let spur = spur();
     for camera in [pinhole(SIZE), scope(SIZE)] {
-        let look = Appearance {
+        let appearance = Appearance {
             exposure: None,
             gloss: 0.5,
             texture: 1.0,
@@ -177,7 +177,7 @@ fn silhouettes_are_equal_in_strips_with_leaps_and_for_every_caster() {
             fog: 0.3,
             ..MATT
         };
-        let frame = spur.frame(camera, look);
+        let frame = spur.frame(camera, appearance);
         let scalar = InstructionSet::Portable;
         let truth = cast_rows_scalar(&frame, Method::Brute, 0..SIZE, scalar).unwrap();
         for simd in InstructionSet::available() {
@@ -202,8 +202,8 @@ fn silhouettes_are_equal_in_strips_with_leaps_and_for_every_caster() {
 #[test]
 fn depths_are_those_of_pixel_centres_and_a_smooth_wall_has_no_silhouette() {
     let spur = spur();
-    let depths = |look| {
-        let frame = spur.frame(pinhole(SIZE), look);
+    let depths = |appearance| {
+        let frame = spur.frame(pinhole(SIZE), appearance);
         cast_surface(&frame, Method::Brute, 0..SIZE, InstructionSet::best())
             .unwrap()
             .0

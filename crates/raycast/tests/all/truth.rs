@@ -6,7 +6,7 @@
 
 use std::ops::AddAssign;
 
-use crate::anatomy::{Chest, Dice, looks};
+use crate::anatomy::{Chest, Dice, transfer_functions};
 use crate::reference::{Matrix, Shares, View, World, to_8_bit};
 use crate::scene::{step_table, words};
 use carina_grid::{Affine, Camera, Grid, VolumeView};
@@ -124,10 +124,10 @@ fn against_f64(num_poses: u64, seed: u64, (width, height): (usize, usize), stop:
             let grid = grid_of(chest.shape, chest.lps_from_ijk);
             let volume = VolumeView::new(&chest.hu, &grid).unwrap();
             let finest = chest.spacing.into_iter().fold(f64::INFINITY, f64::min);
-            let looks = looks();
+            let functions = transfer_functions();
             let mut tally = Tally::default();
             for pose in 0..10u64.min(num_poses - 10 * n) {
-                let (_, points, shares) = &looks[(n + pose) as usize % looks.len()];
+                let (_, points, shares) = &functions[(n + pose) as usize % functions.len()];
                 let step_mm = finest * dice.between(0.3, 1.0);
                 let shaded = dice.roll() < 0.8;
                 let transfer = Transfer::new(points.clone(), 1.0, 1).unwrap();
@@ -383,7 +383,7 @@ fn pictures_on_voxel_faces_and_along_axes_equal_a_ray_caster_in_f64() {
             [half[0], half[1], n[2] + 30.0],
             [half[0] + 0.5, -40.0, half[2] + 0.5],
         ];
-        for (which, (_, points, shares)) in looks().iter().enumerate() {
+        for (which, (_, points, shares)) in transfer_functions().iter().enumerate() {
             let transfer = Transfer::new(points.clone(), 1.0, 1).unwrap();
             let step_mm = 0.5 * spacing.into_iter().fold(f64::INFINITY, f64::min);
             let table = TransferTable::new(&transfer, step_mm, LO as i16, HI as i16).unwrap();

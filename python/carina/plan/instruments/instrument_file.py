@@ -1,4 +1,4 @@
-"""Reader of the user's own JSON files; each error states the field, the expected and the found value."""
+"""Reader of JSON files that a user writes; each error states the field, the expected and the found value."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ MAX_LETTERS = 300
 
 
 @dataclass(frozen=True, slots=True)
-class OwnFile:
+class UserFile:
     """File that a user wrote (a scope, a tool or a task): its JSON document, and texts and code of its errors."""
 
     where: str
@@ -30,7 +30,7 @@ class OwnFile:
     @classmethod
     def read(
         cls, path: str | Path, *, content: str = "one instrument", code: str = "plan.own-file", remedy: str = ""
-    ) -> OwnFile:
+    ) -> UserFile:
         """Read the document in a file.
 
         Parameters

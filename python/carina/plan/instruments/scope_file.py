@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any, get_args
 
-from carina.plan.instruments.instrument_file import OwnFile
+from carina.plan.instruments.instrument_file import UserFile
 from carina.scopes import ScopePreset
 from carina.scopes.library import ScopeClass
 
@@ -44,7 +44,7 @@ def scope_from_file(path: str | Path) -> ScopePreset:
         If the file cannot be read or contains impossible values. The message states the file, the field, the expected
         and the found value (code ``plan.own-file``).
     """
-    file = OwnFile.read(path)
+    file = UserFile.read(path)
     file.check(FORMAT, VERSION, NAMES)
     scope_class = file.text("scope_class")
     if scope_class not in get_args(ScopeClass):
@@ -86,14 +86,14 @@ def scope_to_json(scope: ScopePreset) -> dict[str, Any]:
     }
 
 
-def _within(file: OwnFile, name: str, limits: tuple[float, float]) -> float | None:
+def _within(file: UserFile, name: str, limits: tuple[float, float]) -> float | None:
     found = file.number_or_none(name, limits[1])
     if found is not None and found < limits[0]:
         raise file.refusal(name, f"{limits[0]:g} to {limits[1]:g} mm, or null", found)
     return found
 
 
-def _pair_within(file: OwnFile, name: str, limits: tuple[float, float]) -> tuple[float, float] | None:
+def _pair_within(file: UserFile, name: str, limits: tuple[float, float]) -> tuple[float, float] | None:
     found = file.pair_or_none(name, limits[1])
     if found is not None and not limits[0] <= found[0] <= found[1]:
         raise file.refusal(name, f"two numbers from {limits[0]:g} to {limits[1]:g} mm, the shorter first", list(found))

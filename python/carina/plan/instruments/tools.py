@@ -14,7 +14,7 @@ from typing import Any
 
 from carina.display import one_line
 from carina.errors import UsageError
-from carina.plan.instruments.instrument_file import OwnFile
+from carina.plan.instruments.instrument_file import UserFile
 from carina.scopes import ScopePreset
 
 DEFAULT_TOOL = "needle-21g"
@@ -78,8 +78,9 @@ _CRYO_19 = "cryobiopsy with 1.1 and 1.9 mm probes: J Bras Pneumol 2022, PMC99703
 _CRYO_17 = "cryobiopsy with 1.1 and 1.7 mm probes: Respir Res 2024, doi 10.1186/s12931-024-02700-w"
 _DIAMETER = "diameter s, rest k"
 
-# The loss of flexion is unknown for all tools: it was measured for few scopes and only between tools. A forceps took up
-# to 20.5 degrees more than a needle or a catheter (abstract in referencecitationanalysis.com, 5.1 and 6.2 mm scopes).
+# No tool has a value for the loss of flexion: publications compare tools with each other, in few scopes. A forceps
+# reduced the flexion by up to 20.5 degrees more than a needle or a catheter (abstract in referencecitationanalysis.com,
+# 5.1 and 6.2 mm scopes).
 _TOOLS = (
     Tool("needle-21g", "Aspiration needle, 21 G", 1.8, 15.0, True, 15.0, "k"),
     Tool("needle-19g", "Aspiration needle, 19 G", 1.9, 15.0, True, 15.0, "k"),
@@ -163,7 +164,7 @@ def tool_from_file(path: str | Path) -> Tool:
         If the file cannot be read or contains impossible values. The message states the file, the field, the expected
         and the found value (code ``plan.own-file``).
     """
-    return _tool(OwnFile.read(path))
+    return _tool(UserFile.read(path))
 
 
 def tool_from_json(document: Any, *, where: str = "tool") -> Tool:
@@ -179,10 +180,10 @@ def tool_from_json(document: Any, *, where: str = "tool") -> Tool:
     >>> tool_from_json(tool("brush").to_json()) == tool("brush")
     True
     """
-    return _tool(OwnFile(where, document))
+    return _tool(UserFile(where, document))
 
 
-def _tool(file: OwnFile) -> Tool:
+def _tool(file: UserFile) -> Tool:
     file.check(FORMAT, VERSION, [one.name for one in fields(Tool)])
     return Tool(
         file.text("name"),

@@ -76,7 +76,7 @@ def fissures(
     border_mm: Values,
     lps_from_ijk: NDArray[np.float64],
     *,
-    on_share: Callable[[float], None] | None = None,
+    on_progress: Callable[[float], None] | None = None,
 ) -> FissureBox:
     """Find the fissures: plates in the lungs near the borders of the lobes.
 
@@ -87,22 +87,22 @@ def fissures(
     label_zyx, border_mm, lps_from_ijk
         Labels of the lobes by the airways alone, distances to the lobe borders, and the transform of their grid
         (`carina.plan.lobes`).
-    on_share
-        Receives the share done; it may raise CancelledError.
+    on_progress
+        Receives the completed fraction; it may raise CancelledError.
     """
 
-    def say(share: float) -> None:
-        if on_share is not None:
-            on_share(share)
+    def report(fraction: float) -> None:
+        if on_progress is not None:
+            on_progress(fraction)
 
     near = _near_border(box, label_zyx, border_mm, lps_from_ijk)
     lung_hu = lung_median_hu(box.hu_zyx[::2, ::2, ::2])
     soft = smoothed(box.hu_zyx, SIGMA_MM / box.step_mm)
-    say(0.5)
+    report(0.5)
     # Bright voxels are vessels and their blur; they are excluded, because a fissure is never as bright.
     bright = ball_distance(~(box.hu_zyx > lung_hu + 450.0), box.step_mm)
     where = near & box.known & (bright > 1.5) & (soft < lung_hu + 300.0)
-    say(0.8)
+    report(0.8)
     strength, noise = _plate_strength(soft, where, SIGMA_MM / box.step_mm)
     least = max(MIN_HU, TIMES_NOISE * noise)
     sheets = _large_sheets(strength > least, box.step_mm)

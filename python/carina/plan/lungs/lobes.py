@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carina.display import one_line
-from carina.display.progress import ProgressChoice, progress_function, share_function, shows_progress
+from carina.display.progress import ProgressChoice, fraction_callback, progress_function, shows_progress
 from carina.errors import NoResultError
 from carina.plan.cubic_box import Box
 from carina.plan.lungs.fissures import FissureBox, fissures
@@ -128,13 +128,15 @@ def lobes(
         box = lung_box(volume)
     say("the lobes by their airways", 0.2)
     inside, matrix = lung_grid(box)
-    first = nearest_lobe(inside, matrix, tree, on_share=share_function(report, "the lobes by their airways", 0.2, 0.4))
+    first = nearest_lobe(
+        inside, matrix, tree, on_progress=fraction_callback(report, "the lobes by their airways", 0.2, 0.4)
+    )
     say("looking for fissures", 0.4)
-    on_share = share_function(report, "looking for fissures", 0.4, 0.7)
-    seen = fissures(box, first.label_zyx, first.border_mm, matrix, on_share=on_share)
+    on_progress = fraction_callback(report, "looking for fissures", 0.4, 0.7)
+    seen = fissures(box, first.label_zyx, first.border_mm, matrix, on_progress=on_progress)
     last = "the lobes by airways and fissures"
     say(last, 0.7)
-    return nearest_lobe(inside, matrix, tree, seen, on_share=share_function(report, last, 0.7, 1.0))
+    return nearest_lobe(inside, matrix, tree, seen, on_progress=fraction_callback(report, last, 0.7, 1.0))
 
 
 def nearest_lobe(
@@ -143,7 +145,7 @@ def nearest_lobe(
     tree: AirwayTree,
     seen: FissureBox | None = None,
     *,
-    on_share: Callable[[float], None] | None = None,
+    on_progress: Callable[[float], None] | None = None,
 ) -> Lobes:
     """Assign each voxel of the lungs (2 mm) to the lobe whose airways are nearest through the lung.
 
@@ -155,8 +157,8 @@ def nearest_lobe(
         Named airways.
     seen
         Visible fissures, which slow the front.
-    on_share
-        Receives the share done; it may raise CancelledError.
+    on_progress
+        Receives the completed fraction; it may raise CancelledError.
 
     Raises
     ------
@@ -181,8 +183,8 @@ def nearest_lobe(
     try:
         fronts = {lobe: pool.submit(_arrival, speed, pieces, at) for lobe, at in seeds.items()}
         for n, (lobe, front) in enumerate(fronts.items()):
-            if on_share is not None:
-                on_share(n / len(seeds))
+            if on_progress is not None:
+                on_progress(n / len(seeds))
             times[LOBE_NAMES.index(lobe)] = front.result()
     finally:
         pool.shutdown(cancel_futures=True)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from carina.display import one_line
-from carina.display.progress import ProgressChoice, progress_function, share_function, shows_progress
+from carina.display.progress import ProgressChoice, fraction_callback, progress_function, shows_progress
 from carina.errors import CancelledError, CarinaError
 from carina.plan.cubic_box import Box, smoothed
 from carina.plan.lungs.fissures import FissureBox
@@ -162,8 +162,8 @@ def map_lungs(
     say(looking, 0.48)
     if found is not None:
         found(made)
-    on_share = share_function(report, "following the vessels", 0.48, 0.55)
-    tree = grow_tree(seen.box, inside, seen.sure, on_share=on_share)
+    on_progress = fraction_callback(report, "following the vessels", 0.48, 0.55)
+    tree = grow_tree(seen.box, inside, seen.sure, on_progress=on_progress)
     made = replace(made, vessel_tree=_deep_lines(tree, seen.box))
     if found is not None:
         found(made)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carina.display import one_line
-from carina.display.progress import ProgressChoice, progress_function, share_function, shows_progress
+from carina.display.progress import ProgressChoice, fraction_callback, progress_function, shows_progress
 from carina.errors import NoResultError
 from carina.plan.cubic_box import Box, lung_median_hu, smoothed
 from carina.plan.lungs.fissures import FissureBox
@@ -42,7 +42,7 @@ MIN_MM3 = 12.0
 SLAB = 48
 """Number of slices for which wall distances are computed between two checks for cancellation."""
 
-OnShare = Callable[[float], None]
+OnProgress = Callable[[float], None]
 
 
 @one_line
@@ -154,8 +154,8 @@ def lung_surroundings(
     NoResultError
         If there is no lung in the CT (code ``plan.no_lung``).
     """
-    on_share = share_function(progress_function(progress), "looking for vessels")
-    return _seen(lung_box(volume) if box is None else box, None, wall, on_share or _ignore_share)
+    on_progress = fraction_callback(progress_function(progress), "looking for vessels")
+    return _seen(lung_box(volume) if box is None else box, None, wall, on_progress or _ignore_progress)
 
 
 def lung_box(volume: Volume) -> Box:
@@ -223,16 +223,18 @@ def _lung(coarse: NDArray[np.float32]) -> Mask:
     return found
 
 
-def _ignore_share(_share: float) -> None:
-    """Ignore a progress report; used where the caller wants no progress."""
+def _ignore_progress(_fraction: float) -> None:
+    """Ignore a progress report; the default for callers without a progress display."""
 
 
-def _seen(box: Box, nodule: Nodule | None, wall: WallField, on_share: OnShare = _ignore_share) -> NearbyTissue:
+def _seen(box: Box, nodule: Nodule | None, wall: WallField, on_progress: OnProgress = _ignore_progress) -> NearbyTissue:
     smooth = smoothed(box.hu_zyx, SMOOTH_MM / box.step_mm)
     lung_hu = lung_median_hu(smooth)
-    on_share(0.15)
+    on_progress(0.15)
     # Distances to the wall are computed only near dense voxels, which are a small part of a lung.
-    to_wall = _to_wall(box, wall, smooth > lung_hu + 0.5 * LINE_RISE_HU, lambda share: on_share(0.15 + 0.3 * share))
+    to_wall = _to_wall(
+        box, wall, smooth > lung_hu + 0.5 * LINE_RISE_HU, lambda fraction: on_progress(0.15 + 0.3 * fraction)
+    )
     dense = (smooth > lung_hu + RISE_HU) & (to_wall < -WALL_MM)
     clear = to_wall < -LINE_WALL_MM
     if nodule is not None:
@@ -241,20 +243,22 @@ def _seen(box: Box, nodule: Nodule | None, wall: WallField, on_share: OnShare = 
         clear &= away
     half = 0.5 * THICKEST_VESSEL_MM
     core = ball_distance(dense, box.step_mm, half) > half
-    on_share(0.5)
+    on_progress(0.5)
     thick = (
         dense & (ball_distance(~core, box.step_mm, half + box.step_mm) <= half + box.step_mm)
         if core.any()
         else np.zeros_like(dense)
     )
     wide = _large_pieces(dense & ~thick & box.known, MIN_MM3 / box.step_mm**3)
-    on_share(0.6)
-    thin, sure = thin_vessels(box, lung_hu, clear & ~thick, on_share=lambda share: on_share(0.6 + 0.2 * share))
+    on_progress(0.6)
+    thin, sure = thin_vessels(
+        box, lung_hu, clear & ~thick, on_progress=lambda fraction: on_progress(0.6 + 0.2 * fraction)
+    )
     sure[wide] = 1.0
     vessel = wide | thin
-    on_share(0.8)
+    on_progress(0.8)
     vessel_mm = _distance(vessel, box.step_mm)
-    on_share(0.9)
+    on_progress(0.9)
     return NearbyTissue(box, lung_hu, vessel, thick, vessel_mm, _distance(thick, box.step_mm), sure)
 
 
@@ -280,12 +284,12 @@ def _distance(mask: Mask, step_mm: float) -> NDArray[np.float32]:
     return ball_distance(~mask, step_mm)
 
 
-def _to_wall(box: Box, wall: WallField, where: Mask, on_share: OnShare) -> NDArray[np.float32]:
+def _to_wall(box: Box, wall: WallField, where: Mask, on_progress: OnProgress) -> NDArray[np.float32]:
     """Return the signed distance in mm of the selected voxels to the airways' wall, above 0 in a lumen."""
     found = np.full(where.shape, -np.inf, dtype=np.float32)
     num = len(where)
     for first in range(0, num, SLAB):
-        on_share(first / num)
+        on_progress(first / num)
         part = slice(first, first + SLAB)
         found[part][where[part]] = wall.distance_mm(_centres(box, where[part], first))
     return found

@@ -33,7 +33,7 @@ SLAB = 48
 SPUR_MM = 2.0
 """Minimum length in mm of a vessel branch beyond the surface of its parent; a shorter one is a bump of the parent."""
 MAX_BRANCHES = 4000
-LOOK_EVERY = 20_000
+REPORT_INTERVAL = 20_000
 """Number of processed voxels after which progress is reported."""
 
 
@@ -75,7 +75,7 @@ class VesselTree:
 
 
 def thin_vessels(
-    box: Box, lung_hu: float, clear: Mask, *, on_share: Callable[[float], None] | None = None
+    box: Box, lung_hu: float, clear: Mask, *, on_progress: Callable[[float], None] | None = None
 ) -> tuple[Mask, Values]:
     """Return the mask of the voxels of thin bright lines (vessels), and the confidence of each voxel.
 
@@ -90,8 +90,8 @@ def thin_vessels(
         Density of the lung, HU.
     clear
         (nz, ny, nx) mask of possible vessels: away from airways' walls, the nodule and thick tissue.
-    on_share
-        Receives the share done; it may raise CancelledError.
+    on_progress
+        Receives the completed fraction; it may raise CancelledError.
 
     Returns
     -------
@@ -102,8 +102,8 @@ def thin_vessels(
     inner = box.known & clear
     rises = inner & (soft > lung_hu + RISE_HU)
     plain = inner & (soft < lung_hu + RISE_HU) & (soft > lung_hu - 150.0)
-    if on_share is not None:
-        on_share(0.3)
+    if on_progress is not None:
+        on_progress(0.3)
     curved, noise = _line_strength(box, rises, plain)
     least = max(MIN_HU, TIMES_NOISE * noise)
     mask = _long_pieces(curved > least, box.step_mm)
@@ -192,7 +192,9 @@ def _long_pieces(mask: Mask, step_mm: float) -> Mask:
     return found
 
 
-def grow_tree(box: Box, vessel: Mask, sure: Values, *, on_share: Callable[[float], None] | None = None) -> VesselTree:
+def grow_tree(
+    box: Box, vessel: Mask, sure: Values, *, on_progress: Callable[[float], None] | None = None
+) -> VesselTree:
     """Return the vessels of a box as a tree of centrelines, from the widest place of each piece to its ends.
 
     Parameters
@@ -201,8 +203,8 @@ def grow_tree(box: Box, vessel: Mask, sure: Values, *, on_share: Callable[[float
         Box of the masks.
     vessel, sure
         (nz, ny, nx) mask of the vessels, and their confidence.
-    on_share
-        Receives the share done; it may raise CancelledError.
+    on_progress
+        Receives the completed fraction; it may raise CancelledError.
     """
     if not vessel.any():
         return VesselTree(())
@@ -217,8 +219,8 @@ def grow_tree(box: Box, vessel: Mask, sure: Values, *, on_share: Callable[[float
     ways: list[NDArray[np.intp]] = []
     whole = True
     for num, start in enumerate(order):
-        if on_share is not None and num % LOOK_EVERY == 0:
-            on_share(num / len(order))
+        if on_progress is not None and num % REPORT_INTERVAL == 0:
+            on_progress(num / len(order))
         if owner.reshape(-1)[start] >= 0:
             continue
         if len(branches) >= MAX_BRANCHES:

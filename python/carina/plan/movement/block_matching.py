@@ -183,12 +183,12 @@ def _sampled(volume: Volume, places: Points) -> tuple[Points, Mask]:
 def _correlation(here: Points, there: Points) -> Points:
     """Return the normalised cross-correlation of a cube with a larger one at all offsets that contain it."""
     part = here - here.mean()
-    room = tuple(np.array(there.shape) - np.array(here.shape) + 1)
+    num_offsets = tuple(np.array(there.shape) - np.array(here.shape) + 1)
     values = there - there.mean()
     axes = (0, 1, 2)
     spectrum = np.fft.rfftn(values) * np.conj(np.fft.rfftn(part, s=there.shape, axes=axes))
     product = np.fft.irfftn(spectrum, s=there.shape, axes=axes)
-    both = product[: room[0], : room[1], : room[2]]
+    both = product[: num_offsets[0], : num_offsets[1], : num_offsets[2]]
     num = here.size
     total, squares = _sums(values, here.shape), _sums(values * values, here.shape)
     spread = np.sqrt(np.maximum(squares - total * total / num, 1e-6) * float((part * part).sum()))

@@ -68,11 +68,11 @@ def _built(
     page = BaseDocTemplate(
         out, pagesize=size, title=TITLE, author="Carina", subject=NOT_A_DEVICE, creator="Carina", invariant=1
     )
-    room = (size[0] - 2 * SIDE, size[1] - TOP - BOTTOM)
-    frame = Frame(SIDE, BOTTOM, *room, leftPadding=0, rightPadding=0, topPadding=0, bottomPadding=0)
+    frame_size = (size[0] - 2 * SIDE, size[1] - TOP - BOTTOM)
+    frame = Frame(SIDE, BOTTOM, *frame_size, leftPadding=0, rightPadding=0, topPadding=0, bottomPadding=0)
     furniture = partial(_furniture, sheet=sheet, fonts=fonts, num_pages=num_pages)
     page.addPageTemplates([PageTemplate(frames=[frame], onPage=furniture)])
-    page.build(_ReportFlow(fonts, room).flowables(parts))
+    page.build(_ReportFlow(fonts, frame_size).flowables(parts))
     return out.getvalue(), int(page.page)
 
 
@@ -84,9 +84,9 @@ def _furniture(canvas: Any, page: Any, *, sheet: PlanSheet, fonts: tuple[str, st
     canvas.setStrokeColor(HexColor(INK))
     canvas.setFillColor(HexColor(INK))
     canvas.setLineWidth(0.6)
-    head, room = f"{TITLE}{who} \u00b7 {target_words(sheet)}", width - 2 * SIDE - 125.0
+    head, max_width = f"{TITLE}{who} \u00b7 {target_words(sheet)}", width - 2 * SIDE - 125.0
     # A long name gets a smaller font, so that it is never cut.
-    canvas.setFont(bold, min(9.0, 9.0 * room / pdfmetrics.stringWidth(head, bold, 9.0)))
+    canvas.setFont(bold, min(9.0, 9.0 * max_width / pdfmetrics.stringWidth(head, bold, 9.0)))
     canvas.drawString(SIDE, height - 33, head)
     canvas.setFont(plain, 8)
     canvas.setFillColor(HexColor(QUIET))
@@ -105,9 +105,9 @@ def _furniture(canvas: Any, page: Any, *, sheet: PlanSheet, fonts: tuple[str, st
 class _ReportFlow:
     """Conversion of blocks to reportlab flowables for a frame of (width, height) points."""
 
-    def __init__(self, fonts: tuple[str, str], room: tuple[float, float]) -> None:
+    def __init__(self, fonts: tuple[str, str], frame_size: tuple[float, float]) -> None:
         self._plain, self._bold = fonts
-        self._width, self._height = room
+        self._width, self._height = frame_size
 
     def flowables(self, parts: tuple[Section, ...]) -> list[Any]:
         """Return the flowables of all sections."""

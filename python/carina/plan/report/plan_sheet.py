@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from carina.display import one_line
-from carina.display.progress import ProgressChoice, progress_function, share_function, shows_progress
+from carina.display.progress import ProgressChoice, fraction_callback, progress_function, shows_progress
 from carina.errors import UsageError, check_type
 from carina.plan.carm import CArmAngles
 from carina.plan.lungs.tissue_near_needle import NearbyTissue, surroundings
@@ -298,8 +298,8 @@ def make_sheet(
     _check_pictures(turns, turn_pictures, operator)
     _check_clips(turn_pictures, turn_clips)
     _check_turns(airways, route, turns)
-    on_share = share_function(progress_function(progress), "rendering the pictures")
-    report = CancellableProgress(on_share, cancel, "the report was cancelled")
+    on_progress = fraction_callback(progress_function(progress), "rendering the pictures")
+    report = CancellableProgress(on_progress, cancel, "the report was cancelled")
     report(0.0)
     wall = wall_field(volume, airways, cancel=cancel) if wall is None else wall
     report(0.4)

@@ -47,7 +47,7 @@ MAX_LINES_BEFORE_TREE = 4
 """Maximum number of lines of reasons with which the tree fits on the first page, also on Letter in a wide typeface."""
 TREE_BELOW_TARGET, TREE_ALONE = 110.0, 330.0
 """Height of the tree in points, on the first page and on a separate page."""
-NOT_ASKED = "\u2013"
+NOT_EXAMINED = "\u2013"
 """Symbol in a table of checks for a check that was not made, because the result of another check decides."""
 ANSWERS = {"yes": "yes", "perhaps": "perhaps", "no": "no", "unknown": "?"}
 
@@ -162,15 +162,15 @@ def _way(sheet: PlanSheet) -> Section:
     if sheet.route is not None:
         words = "Blue: the route, with its forks by number. Orange: last leg and target. Red: drawn by hand or bridged."
         title = "Airways and route"
-    blocks = (Words(words, "quiet"), _tree_figures(sheet))
-    return Section("airways", title, blocks, starts_page=_is_tree_after_page_one(sheet))
+    no_route = (Words(words, "quiet"), _tree_figures(sheet))
+    return Section("airways", title, no_route, starts_page=_is_tree_after_page_one(sheet))
 
 
 def _route(sheet: PlanSheet) -> list[Section]:
     plan, route = sheet.plan, sheet.route
     if route is None:
         why = plan.why or "no route was found"
-        told: list[Block] = [Words(why[0].upper() + why[1:] + ("" if why.endswith(".") else "."), "warning")]
+        no_route: list[Block] = [Words(why[0].upper() + why[1:] + ("" if why.endswith(".") else "."), "warning")]
         if plan.nearest is not None:
             near = plan.nearest
             place = (
@@ -179,8 +179,8 @@ def _route(sheet: PlanSheet) -> list[Section]:
                 ("Its width there", f"{near.width_mm:.1f} mm"),
                 ("Place (LPS)", ", ".join(f"{v:.1f}" for v in near.place_lps) + " mm"),
             )
-            told.append(Facts(place))
-        return [Section("route", "No route", tuple(told))]
+            no_route.append(Facts(place))
+        return [Section("route", "No route", tuple(no_route))]
     leg = route.leg
     fits = f"{route.width.words}; the scope needs {plan.scope.fit_mm:.1f} mm"
     least = f"{leg.in_target_mm:.0f} mm as aimed, at least {leg.least_in_target_mm:.0f} mm within the needle's errors"
@@ -370,14 +370,14 @@ def _verdicts(sheet: PlanSheet) -> list[Section]:
             (
                 one.scope.title,
                 f"{one.outcome}{chance}",
-                *(answers.get(name, NOT_ASKED) for name in CHECKS),
+                *(answers.get(name, NOT_EXAMINED) for name in CHECKS),
                 one.words.removeprefix(f"{one.outcome}: "),
             )
         )
     head = ("Instrument", "Verdict", "Width", "Bend", "Length", "Channel", "Drive", "Aim", "What decides")
     shares = (0.17, 0.11, 0.075, 0.075, 0.07, 0.085, 0.075, 0.075, 0.265)
     text = (
-        f"On this route, with {sheet.plan.tool.title}. ?: not known; {NOT_ASKED}: not examined, since another check "
+        f"On this route, with {sheet.plan.tool.title}. ?: not known; {NOT_EXAMINED}: not examined, since another check "
         "decides. The figures behind each answer, and what they rest on, are listed at the end."
     )
     return [

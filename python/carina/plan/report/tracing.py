@@ -102,12 +102,12 @@ def tracing_drawings(sheet: PlanSheet) -> tuple[Drawing, ...]:
     for layout in (DIAGRAM, COMPACT, TIGHT, SUMMED, LISTED):
         rows = _rows(sheet, layout)
         used = sum(row.height(layout) for row in rows)
-        if used + _against_height(against) <= _room(sheet):
+        if used + _against_height(against) <= _body_height(sheet):
             return (_page(sheet, layout, against, rows),)
     return tuple(_page(sheet, COMPACT, *part) for part in _pages(sheet, against, _rows(sheet, COMPACT)))
 
 
-def _room(sheet: PlanSheet) -> float:
+def _body_height(sheet: PlanSheet) -> float:
     """Return the height in points between the head of a page and its notes."""
     notes = len(_note_lines(sheet))
     return TRACING_SIZE[1] - _head_height(sheet) - LABELS - GAP - (LINE * notes + GAP if notes else 0.0)
@@ -118,19 +118,19 @@ def _pages(
 ) -> list[tuple[tuple[tuple[str, str], ...], tuple[_Row, ...]]]:
     """Return the lines of reasons and the rows of each page."""
     pages: list[tuple[list[tuple[str, str]], list[_Row]]] = [([], [])]
-    room = _room(sheet)
-    left = room - _against_height(against[:1])
+    body_height = _body_height(sheet)
+    left = body_height - _against_height(against[:1])
     for line in against:
         if left < LINE:
             pages.append(([], []))
-            left = room - _against_height(against[:1])
+            left = body_height - _against_height(against[:1])
         pages[-1][0].append(line)
         left -= LINE
     for row in rows:
         height = row.height(COMPACT)
         if left < height and (pages[-1][0] or pages[-1][1]):
             pages.append(([], []))
-            left = room
+            left = body_height
         pages[-1][1].append(row)
         left -= height
     return [(tuple(lines), tuple(some)) for lines, some in pages]
@@ -144,7 +144,7 @@ def _page(
     head = _head_height(sheet)
     top = head + _against_height(against)
     # The rows share the free height up to a limit; handwritten notes get the rest.
-    spare = head + _room(sheet) - top - sum(natural) - FREE_NOTES
+    spare = head + _body_height(sheet) - top - sum(natural) - FREE_NOTES
     heights = [max(one, min(MAX_ROW, one + max(spare, 0.0) / len(rows))) for one in natural]
     tops = [top, *(top + sum(heights[: n + 1]) for n in range(len(heights)))]
     middles = [0.5 * (a + b) for a, b in itertools.pairwise(tops)]

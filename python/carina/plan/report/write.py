@@ -129,20 +129,20 @@ def write_report(
 
     report = progress_function(progress)
 
-    def report_share(share: float) -> None:
+    def report_fraction(fraction: float) -> None:
         if cancel is not None and cancel():
             raise CancelledError("writing the report was cancelled")
         if report is not None:
-            report("laying out the pages", share)
+            report("laying out the pages", fraction)
 
-    report_share(0.0)
+    report_fraction(0.0)
     if suffix == ".json":
         content = (json.dumps(sheet.to_json(), indent=1) + "\n").encode()
     else:
         parts = tracing_sections(sheet) if kind == "tracing" else sections(sheet)
-        report_share(0.3)
+        report_fraction(0.3)
         content = html_page(sheet, parts).encode() if suffix != ".pdf" else pdf_pages(sheet, parts, paper=paper)
-    report_share(0.9)
+    report_fraction(0.9)
     written = write_whole(path, content, what="the report")
-    report_share(1.0)
+    report_fraction(1.0)
     return written

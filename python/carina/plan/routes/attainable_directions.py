@@ -174,8 +174,8 @@ class TipDirections:
         if length < MIN_SIDE_MM:
             return [place.point_lps]
         at = np.arange(0.0, WIDEST_MM, PATH_STEP_MM)
-        room = self._wall.distance_mm(place.point_lps + at[:, None] * side / length) - radius
-        out = np.flatnonzero(room < 0.0)
+        clearance_mm = self._wall.distance_mm(place.point_lps + at[:, None] * side / length) - radius
+        out = np.flatnonzero(clearance_mm < 0.0)
         spare = float(at[max(int(out[0]) - 1, 0)]) if out.size else WIDEST_MM
         if spare < PATH_STEP_MM:
             return [place.point_lps]
@@ -184,13 +184,13 @@ class TipDirections:
     def _rigid_fits(self, tip: Points, ways: Points, radius: float) -> NDArray[np.bool_]:
         behind = np.arange(min(radius, self._rigid_mm), self._rigid_mm + 1e-6, RIGID_STEP_MM)
         axis = tip - behind[None, :, None] * ways[:, None, :]
-        room = self._wall.distance_mm(axis.reshape(-1, 3)).reshape(len(ways), -1).min(axis=1)
+        clearance_mm = self._wall.distance_mm(axis.reshape(-1, 3)).reshape(len(ways), -1).min(axis=1)
         across, up = axes_across(ways)
         turn = 2.0 * np.pi * np.arange(8) / 8
         rim = np.cos(turn)[None, :, None] * across[:, None, :] + np.sin(turn)[None, :, None] * up[:, None, :]
         face = tip - ROUNDED_MM * ways[:, None, :] + max(radius - ROUNDED_MM, 0.0) * rim
         edge = self._wall.distance_mm(face.reshape(-1, 3)).reshape(len(ways), -1).min(axis=1)
-        found: NDArray[np.bool_] = (room >= radius - TIP_LACK_MM) & (edge >= ROUNDED_MM - TIP_LACK_MM)
+        found: NDArray[np.bool_] = (clearance_mm >= radius - TIP_LACK_MM) & (edge >= ROUNDED_MM - TIP_LACK_MM)
         return found
 
     def _bends(self, place: StandingPlace, tip: Points, ways: Points, radius: float) -> NDArray[np.bool_]:
@@ -219,8 +219,8 @@ class TipDirections:
                 np.sin(on_arc) * own[:, None] + (1.0 - np.cos(on_arc)) * side[:, None]
             )
             points = np.concatenate([arc, arc[:, -1:] - BEHIND_MM * back[:, None]], axis=1)
-            room = self._wall.distance_mm(points.reshape(-1, 3)).reshape(len(left), -1).min(axis=1)
-            found[left] = room >= radius - SHAFT_LACK_MM
+            clearance_mm = self._wall.distance_mm(points.reshape(-1, 3)).reshape(len(left), -1).min(axis=1)
+            found[left] = clearance_mm >= radius - SHAFT_LACK_MM
         return found
 
     def _path(self, branch_id: int) -> tuple[Points, Points, Points]:
@@ -229,8 +229,8 @@ class TipDirections:
             lineage = self._tree.lineage(branch_id)
             points = np.concatenate([lineage[0].points, *(branch.points[1:] for branch in lineage[1:])])
             along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
-            room = np.where(along >= CUT_MM, 2.0 * self._wall.distance_mm(points), np.inf)
-            self._paths[branch_id] = along, points, np.minimum.accumulate(room)
+            diameter_mm = np.where(along >= CUT_MM, 2.0 * self._wall.distance_mm(points), np.inf)
+            self._paths[branch_id] = along, points, np.minimum.accumulate(diameter_mm)
         return self._paths[branch_id]
 
     def _direction(self, branch_id: int, mm: Points) -> Points:
@@ -243,11 +243,11 @@ class TipDirections:
 
     def _slim_mm(self, branch_id: int, along_mm: float) -> float:
         """Return the diameter in mm of the scope, or of its thinner substitute in an airway about as wide."""
-        along, _, room = self._path(branch_id)
-        room_mm = float(room[max(int(np.searchsorted(along, along_mm, side="right")) - 1, 0)])
-        if self._tip_mm <= room_mm - SPARE_MM:
+        along, _, diameters_mm = self._path(branch_id)
+        diameter_mm = float(diameters_mm[max(int(np.searchsorted(along, along_mm, side="right")) - 1, 0)])
+        if self._tip_mm <= diameter_mm - SPARE_MM:
             return self._tip_mm
-        return min(max(room_mm - SLIMMER_MM, THINNEST_MM), self._tip_mm)
+        return min(max(diameter_mm - SLIMMER_MM, THINNEST_MM), self._tip_mm)
 
 
 def _rings(towards: Points, edge_rad: float) -> tuple[Points, Points]:

@@ -99,10 +99,10 @@ def _middle(points: Points, wall: WallField) -> tuple[Points, Points, Points]:
     middle, best = points.copy(), wall.distance_mm(points)
     for shift in SHIFTS_MM:
         tried = middle + shift * ring
-        room = wall.distance_mm(tried.reshape(-1, 3)).reshape(NUM_ROUND, -1)
-        first = room.argmax(axis=0)
+        clearance_mm = wall.distance_mm(tried.reshape(-1, 3)).reshape(NUM_ROUND, -1)
+        first = clearance_mm.argmax(axis=0)
         rows = np.arange(len(points))
-        better = room[first, rows] > best
+        better = clearance_mm[first, rows] > best
         middle = np.where(better[:, None], tried[first, rows], middle)
-        best = np.where(better, room[first, rows], best)
+        best = np.where(better, clearance_mm[first, rows], best)
     return middle, best, ring

@@ -18,7 +18,7 @@ Points = NDArray[np.float64]
 
 STEP_MM = 0.25
 """Distance in mm between two places of a branch that are compared with the other branch of its fork."""
-LOOK_MM = 25.0
+MAX_SEARCH_MM = 25.0
 """Distance in mm from a fork up to which its ridge is searched."""
 NUM_ACROSS = 41
 """Number of points on a line between two branches."""
@@ -124,7 +124,7 @@ def _ridge(one: Branch, other: Branch, wall: WallField) -> ForkRidge | None:
     Points at the same distance from the fork are joined by straight lines. The first line with a point in the wall
     crosses the ridge.
     """
-    length = min(one.length_mm, other.length_mm, LOOK_MM)
+    length = min(one.length_mm, other.length_mm, MAX_SEARCH_MM)
     if length < 2.0 * TURN_MM:
         return None
     at: Points = np.arange(TURN_MM, length, STEP_MM)

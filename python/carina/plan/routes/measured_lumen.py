@@ -83,10 +83,10 @@ class MeasuredLumen:
         if not len(changed):
             return wall
         # Each part of a tube takes time in a drive, so the tube extends only from the first to the last changed place.
-        own = slice(max(int(changed[0]) - 1, 0), int(changed[-1]) + 2)
-        if own.stop - own.start < 2:
+        rows = slice(max(int(changed[0]) - 1, 0), int(changed[-1]) + 2)
+        if rows.stop - rows.start < 2:
             return wall
-        return wall.with_tube(self.axis_lps[own], np.maximum(radius[own], MIN_RADIUS_MM), excess_mm=excess[own])
+        return wall.with_tube(self.axis_lps[rows], np.maximum(radius[rows], MIN_RADIUS_MM), excess_mm=excess[rows])
 
 
 def measured_lumen(lineage: Sequence[Branch], wall: WallField, measures: TreeMeasures) -> MeasuredLumen | None:
@@ -128,16 +128,16 @@ def measured_lumen(lineage: Sequence[Branch], wall: WallField, measures: TreeMea
     # A section in a fork can show that the fork is narrow, but not that it is wide.
     lack = np.fmin(lack, np.fmin(most, measured) - ball)
     error = np.fmax(error[before], error[behind])
-    own = slice(int(narrow[0]), len(axis))
-    if own.stop - own.start < 2:
+    rows = slice(int(narrow[0]), len(axis))
+    if rows.stop - rows.start < 2:
         return None
-    is_narrow = np.fmax(ball, most)[own] < WIDE_MM
+    is_narrow = np.fmax(ball, most)[rows] < WIDE_MM
     return MeasuredLumen(
-        axis[own],
-        np.minimum(ball[own], WIDE_MM),
-        np.where(is_narrow, lack[own], 0.0),
-        error[own],
-        np.where(is_narrow, surplus[own], -WIDE_MM),
+        axis[rows],
+        np.minimum(ball[rows], WIDE_MM),
+        np.where(is_narrow, lack[rows], 0.0),
+        error[rows],
+        np.where(is_narrow, surplus[rows], -WIDE_MM),
     )
 
 

@@ -45,7 +45,7 @@ from carina.plan.routes.no_route_reasons import (
     why_none,
 )
 from carina.plan.routes.predictors import RoutePredictors, route_predictors
-from carina.plan.routes.ranking import Demands, Judge, Outlook, ScoreWeights, bending_mm, order
+from carina.plan.routes.ranking import Judge, Outlook, PathRequirements, ScoreWeights, bending_mm, order
 from carina.plan.routes.route_width import (
     Fit,
     RouteOpening,
@@ -53,7 +53,7 @@ from carina.plan.routes.route_width import (
     measures_of,
     openings_of_route,
 )
-from carina.plan.routes.standing_points import BronchusSign, NearestPlace, Places, branch_title
+from carina.plan.routes.standing_points import BronchusSign, NearestPlace, ScopePositions, branch_title
 from carina.plan.targets.doubts import Confirmed, TargetDoubt, check_confirmed, confirmed_codes, target_doubts
 from carina.plan.targets.from_click import target_from_click
 from carina.plan.targets.nodule import Nodule
@@ -458,7 +458,7 @@ def draft_plan(
     request
         Volume, airways, target and options.
     report
-        Receives the share done, 0 to 1; it may raise an error to stop the work.
+        Receives the completed fraction, 0 to 1; it may raise an error to stop the work.
     cancel
         As for `carina.plan_route`.
     """
@@ -479,7 +479,7 @@ def draft_plan(
         target = target.nodule
     nodule = target
     check_target(volume, airways, nodule)
-    meant = _aims(nodule, aims)
+    aims_lps = _aims(nodule, aims)
     report(0.1)
     wall = wall_field(volume, airways, cancel=cancel) if wall is None else wall
     doubts = target_doubts(volume, nodule, airways=airways, wall=wall, clicked_lps=clicked)
@@ -487,43 +487,47 @@ def draft_plan(
     report(0.5)
     measures = measures_of(volume, airways, measures, cancel=cancel)
     origin = distance_origin(volume, airways)
-    places = Places(airways.tree, nodule, wall, measures=measures, spacing_mm=max(volume.spacing_mm), origin=origin)
+    positions = ScopePositions(
+        airways.tree, nodule, wall, measures=measures, spacing_mm=max(volume.spacing_mm), origin=origin
+    )
     judge = Judge(preset, vessel_margin_mm, weights or ScoreWeights(), used.reach_mm, used)
-    moved = places.default_movement() if movement is None else movement
-    sign, sign_branch, sign_lps = places.bronchus_sign()
-    nearest = places.nearest()
-    candidates = [(n, aim) for aim in range(len(meant)) for n in places.within_reach(used, meant[aim], MAX_ANGLE_DEG)]
-    kept: tuple[PlannedRoute, ...] = ()
+    moved = positions.default_movement() if movement is None else movement
+    sign, sign_branch, sign_lps = positions.bronchus_sign()
+    nearest = positions.nearest()
+    candidates = [
+        (n, aim) for aim in range(len(aims_lps)) for n in positions.within_reach(used, aims_lps[aim], MAX_ANGLE_DEG)
+    ]
+    routes: tuple[PlannedRoute, ...] = ()
     spares: tuple[PlannedRoute, ...] = ()
     scene: NeedleScene | None = None
     if candidates:
         # The box extends from the farthest tip to beyond the target, with margins beside the needle.
-        farthest = max(float(places.distance[n]) for n, _ in candidates)
+        farthest = max(float(positions.distance[n]) for n, _ in candidates)
         half = max(farthest, 0.5 * nodule.long_mm + BEYOND_MM) + max(vessel_margin_mm, MIN_MARGIN_MM) + ROUND_MM
         around = surroundings(volume, np.array(nodule.centre_lps), min(half, MAX_BOX_MM), nodule, wall)
         scene = NeedleScene(nodule, wall, around, used, errors or NeedleErrors(), vessel_margin_mm)
-        search = _PositionSearch(scene, judge, meant, TipDirections(airways.tree, wall, preset))
-        drafts_of = search.drafts(places, candidates, report)
+        search = _PositionSearch(scene, judge, aims_lps, TipDirections(airways.tree, wall, preset))
+        drafts_of = search.drafts(positions, candidates, report)
         best = {key: search.best(drafts) for key, drafts in drafts_of.items()}
         # Each best place is refined, because the best place of a branch may be between two evaluated places.
-        for aim, aim_lps in enumerate(meant):
-            finer = places.beside((one.branch_id, one.along_mm) for one in best.values() if one.aim == aim)
+        for aim, aim_lps in enumerate(aims_lps):
+            finer = positions.beside((one.branch_id, one.along_mm) for one in best.values() if one.aim == aim)
             near = [(n, aim) for n in finer.within_reach(used, aim_lps, MAX_ANGLE_DEG, apart_mm=0.0)]
             for key, drafts in search.drafts(finer, near).items():
                 best[key] = search.best(drafts, best[key])
         first = None
-        if request.place is not None and 0 <= request.place[2] < len(meant):
+        if request.place is not None and 0 <= request.place[2] < len(aims_lps):
             # The place that the user has chosen replaces the best place of its branch.
-            exact = places.at(*request.place[:2])
+            exact = positions.at(*request.place[:2])
             for key, drafts in search.drafts(exact, [(n, request.place[2]) for n in range(len(exact.points))]).items():
                 best[key] = first = search.best(drafts)
-        kept = tuple(
+        routes = tuple(
             replace(route, leg=_moved_leg(scene, route.leg, moved))
             for route in standing_apart(sorted(best.values(), key=order), first=first)
         )
         spares = tuple(
             search.best(apart)
-            for route in kept
+            for route in routes
             if not is_at(route, request.place)
             and (apart := search.apart_from(route, drafts_of.get((route.branch_id, route.aim), ())))
         )
@@ -543,7 +547,7 @@ def draft_plan(
                 ridges=fork_ridges(lineage, airways.tree.branches, wall, spacing_mm=spacing_mm),
             )
 
-        kept = tuple(with_figures(route) for route in kept)
+        routes = tuple(with_figures(route) for route in routes)
         spares = tuple(with_figures(route) for route in spares)
     report(1.0)
     plan = Plan(
@@ -554,16 +558,16 @@ def draft_plan(
         sign_branch=sign_branch,
         sign_lps=sign_lps,
         movement=moved,
-        routes=kept,
-        why=None if kept else why_none(airways, nodule, nearest, used),
+        routes=routes,
+        why=None if routes else why_none(airways, nodule, nearest, used),
         notes=(
             *ct_notes(volume, airways),
             *notes_of_target(volume, airways, nodule, nearest),
             *notes_of_tools(preset, used),
             *moved.notes,
-            *dict.fromkeys(route.origin.note for route in kept if route.origin.note is not None),
+            *dict.fromkeys(route.origin.note for route in routes if route.origin.note is not None),
         ),
-        aims=tuple((float(x), float(y), float(z)) for x, y, z in meant),
+        aims=tuple((float(x), float(y), float(z)) for x, y, z in aims_lps),
         vessel_margin_mm=vessel_margin_mm,
         weights=judge.weights,
         nearest=nearest,
@@ -585,7 +589,10 @@ class _PositionSearch:
     directions: TipDirections
 
     def drafts(
-        self, places: Places, candidates: Sequence[tuple[Any, int]], report: Callable[[float], None] | None = None
+        self,
+        positions: ScopePositions,
+        candidates: Sequence[tuple[Any, int]],
+        report: Callable[[float], None] | None = None,
     ) -> dict[tuple[int, int], list[_DraftRoute]]:
         """Return the routes whose needles reach the target, by branch and aim, computed without the needle's errors.
 
@@ -596,18 +603,18 @@ class _PositionSearch:
         for step, (n, aim) in enumerate(candidates):
             if report is not None:
                 report(0.6 + 0.3 * step / len(candidates))
-            leg = self._leg(places, int(n), self.aims_lps[aim])
+            leg = self._leg(positions, int(n), self.aims_lps[aim])
             if leg.reaches and (self.scene.tool.pierces or leg.is_open):
-                asked = places.asks(n, bending_mm(self.judge.scope))
-                route = _route(places, int(n), aim, leg, asked=asked, judge=self.judge)
-                found.setdefault((route.branch_id, aim), []).append(_DraftRoute(route, asked))
+                requirements = positions.requirements_at(n, bending_mm(self.judge.scope))
+                route = _route(positions, int(n), aim, leg, requirements=requirements, judge=self.judge)
+                found.setdefault((route.branch_id, aim), []).append(_DraftRoute(route, requirements))
         return found
 
-    def _leg(self, places: Places, n: int, aim: Points) -> LastLeg:
-        place, forward = places.points[n], places.forward[n]
+    def _leg(self, positions: ScopePositions, n: int, aim: Points) -> LastLeg:
+        place, forward = positions.points[n], positions.forward[n]
         if not self.directions.is_known:
             return leg_as_aimed(self.scene, place, forward, aim)
-        standing = StandingPlace(int(places.branch[n]), float(places.along_mm[n]), place, forward)
+        standing = StandingPlace(int(positions.branch[n]), float(positions.along_mm[n]), place, forward)
         tip = self.directions.towards(standing, aim, 0.5 * self.scene.nodule.short_mm)
         if tip is not None:
             distance = float(np.linalg.norm(aim - tip.tip_lps))
@@ -628,7 +635,7 @@ class _PositionSearch:
             if leg.hit_share > 0.0:
                 leg = with_errors(self.scene, leg)
             parts = self.judge.parts(leg, draft.route.narrowest_mm, self.scene.nodule)
-            outlook, chance, limits = self.judge.outlook(draft.asked, leg)
+            outlook, chance, limits = self.judge.outlook(draft.requirements, leg)
             route = replace(
                 draft.route,
                 leg=leg,
@@ -662,7 +669,7 @@ class _DraftRoute:
     """Route computed without the needle's errors, and what its path requires of a scope: width, bend, doubts."""
 
     route: PlannedRoute
-    asked: Demands
+    requirements: PathRequirements
 
 
 def _moved_leg(scene: NeedleScene, leg: LastLeg, movement: TargetMovement) -> LastLeg:
@@ -693,29 +700,31 @@ def _aims(nodule: Nodule, aims: ArrayLike | None) -> Points:
     return found
 
 
-def _route(places: Places, n: int, aim: int, leg: LastLeg, *, asked: Demands, judge: Judge) -> PlannedRoute:
+def _route(
+    positions: ScopePositions, n: int, aim: int, leg: LastLeg, *, requirements: PathRequirements, judge: Judge
+) -> PlannedRoute:
     """Return the route to a scope position, with the needle's path from there and the route's score."""
-    branch = places.of_branch(n)
-    parts = judge.parts(leg, asked.width.mm, places.nodule)
-    outlook, chance, limits = judge.outlook(asked, leg)
-    forward = places.forward[n]
+    branch = positions.of_branch(n)
+    parts = judge.parts(leg, requirements.width.mm, positions.nodule)
+    outlook, chance, limits = judge.outlook(requirements, leg)
+    forward = positions.forward[n]
     return PlannedRoute(
         branch_id=branch.id,
         branch_name=branch_title(branch),
-        along_mm=float(places.along_mm[n]),
-        origin=asked.width.origin,
+        along_mm=float(positions.along_mm[n]),
+        origin=requirements.width.origin,
         forward=(float(forward[0]), float(forward[1]), float(forward[2])),
-        width=asked.width,
-        fit=asked.width.fit(judge.scope),
+        width=requirements.width,
+        fit=requirements.width.fit(judge.scope),
         leg=leg,
         parts=parts,
         score=judge.score(parts),
-        doubts=asked.doubts,
+        doubts=requirements.doubts,
         aim=aim,
         outlook=outlook,
         chance=chance,
         limits=limits,
-        bend_deg=asked.bend_deg.value,
+        bend_deg=requirements.bend_deg.value,
         tools=tuple(
             one.name
             for one in tools()
@@ -728,12 +737,12 @@ def _route(places: Places, n: int, aim: int, leg: LastLeg, *, asked: Demands, ju
 
 
 class CancellableProgress:
-    """Callable that reports the share done, and stops the computation at a request to cancel.
+    """Callable that reports the completed fraction, and stops the computation at a request to cancel.
 
     Parameters
     ----------
-    on_share
-        Receives the share done, 0 to 1; None reports nothing.
+    on_progress
+        Receives the completed fraction, 0 to 1; None reports nothing.
     cancel
         Returns True to stop; None never stops.
     stopped
@@ -741,16 +750,16 @@ class CancellableProgress:
     """
 
     def __init__(
-        self, on_share: Callable[[float], None] | None, cancel: Callable[[], bool] | None, stopped: str
+        self, on_progress: Callable[[float], None] | None, cancel: Callable[[], bool] | None, stopped: str
     ) -> None:
-        self._on_share, self._cancel, self._stopped = on_share, cancel, stopped
+        self._on_progress, self._cancel, self._stopped = on_progress, cancel, stopped
 
-    def __call__(self, share: float) -> None:
-        """Report the share done; raise :class:`carina.errors.CancelledError` at a request to cancel."""
+    def __call__(self, fraction: float) -> None:
+        """Report the completed fraction; raise :class:`carina.errors.CancelledError` at a request to cancel."""
         if self._cancel is not None and self._cancel():
             raise CancelledError(self._stopped)
-        if self._on_share is not None:
-            self._on_share(share)
+        if self._on_progress is not None:
+            self._on_progress(fraction)
 
 
 def is_at(route: PlannedRoute, place: RoutePlace | None) -> bool:
@@ -765,14 +774,15 @@ def standing_apart(routes: Sequence[PlannedRoute], *, first: PlannedRoute | None
 
     The best route to each aim is always returned, and a route ``first``, which no other one replaces.
     """
-    kept: list[PlannedRoute] = [] if first is None else [first]
+    selected: list[PlannedRoute] = [] if first is None else [first]
     for route in routes:
         place = np.array(route.leg.tip_lps)
         if all(
-            one.aim != route.aim or float(np.linalg.norm(place - np.array(one.leg.tip_lps))) > APART_MM for one in kept
+            one.aim != route.aim or float(np.linalg.norm(place - np.array(one.leg.tip_lps))) > APART_MM
+            for one in selected
         ):
-            kept.append(route)
-    firsts = {next(n for n, one in enumerate(kept) if one.aim == aim) for aim in {one.aim for one in kept}}
-    others = [n for n in range(len(kept)) if n not in firsts]
+            selected.append(route)
+    firsts = {next(n for n, one in enumerate(selected) if one.aim == aim) for aim in {one.aim for one in selected}}
+    others = [n for n in range(len(selected)) if n not in firsts]
     chosen = sorted([*firsts, *others[: MAX_ROUTES - len(firsts)]])
-    return tuple(sorted((kept[n] for n in chosen), key=order))
+    return tuple(sorted((selected[n] for n in chosen), key=order))

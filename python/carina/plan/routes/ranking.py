@@ -87,7 +87,7 @@ class WorstValue:
 
 
 @dataclass(frozen=True, slots=True)
-class Demands:
+class PathRequirements:
     """Requirements of a path for the scope that follows it: width, bend, and doubts about the airways."""
 
     width: RouteWidth
@@ -140,7 +140,7 @@ class Judge:
         lost = sum(getattr(self.weights, name) * part for name, part in parts.items())
         return 1.0 - float(lost) / float(total)
 
-    def outlook(self, way: Demands, leg: LastLeg | None = None) -> tuple[Outlook, float, tuple[str, ...]]:
+    def outlook(self, way: PathRequirements, leg: LastLeg | None = None) -> tuple[Outlook, float, tuple[str, ...]]:
         """Return whether the scope reaches a place, the probability, and the reasons against reaching the place.
 
         The criteria are width, bend, doubts about the airways and, with a leg, the tool's reach and the share of
@@ -156,7 +156,7 @@ class Judge:
         found: Outlook = "may reach" if way.doubts else "reaches"
         chance = way.trust
         limits = []
-        asked: list[tuple[float | None, str]] = [self._room(way), self._bend(way)]
+        asked: list[tuple[float | None, str]] = [self._width(way), self._bend(way)]
         if leg is not None:
             asked.append(self._depth(leg))
         for share, words in asked:
@@ -206,12 +206,12 @@ class Judge:
         spare = self.reach_mm - leg.to_target_mm
         return _share(spare / DEPTH_SIGMA_MM), depth_words(spare)
 
-    def _room(self, way: Demands) -> tuple[float, str]:
+    def _width(self, way: PathRequirements) -> tuple[float, str]:
         needs = f"{self.scope.title} needs {self.scope.fit_mm:.1f} mm"
         words = [way.width.place_words, needs, *([] if way.width.why is None else [way.width.why])]
         return way.width.chance(self.scope), "; ".join(words)
 
-    def _bend(self, way: Demands) -> tuple[float | None, str]:
+    def _bend(self, way: PathRequirements) -> tuple[float | None, str]:
         if self.scope.flexion_deg is None or self.scope.bending_mm is None:
             return None, f"it is not known how far {self.scope.title} flexes"
         most = max(self.scope.flexion_deg)

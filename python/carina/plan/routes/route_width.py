@@ -382,12 +382,12 @@ def _known_diameters(
         passage = measures.passage(branch.id)
         at, diameter, error, unmeasured = passage.at_mm, passage.diameter_mm, passage.error_mm, passage.unmeasured
     if len(unmeasured):
-        room = ball_diameters_mm(branch, wall)
+        ball_mm = ball_diameters_mm(branch, wall)
         if branch.parent is None:
-            room = np.full(len(along), float(np.median(room)))
+            ball_mm = np.full(len(along), float(np.median(ball_mm)))
         at = np.concatenate([at, along[unmeasured]])
-        diameter = np.concatenate([diameter, room[unmeasured]])
-        error = np.concatenate([error, ball_error_mm(room[unmeasured], spacing_mm)])
+        diameter = np.concatenate([diameter, ball_mm[unmeasured]])
+        error = np.concatenate([error, ball_error_mm(ball_mm[unmeasured], spacing_mm)])
     is_ball = np.arange(len(at)) >= len(at) - len(unmeasured)
     order = np.argsort(at, kind="stable")
     return _KnownDiameters(at[order], diameter[order], error[order], is_ball[order], title, branch.kind)

@@ -15,7 +15,7 @@ from carina.display import one_line
 from carina.plan.instruments.tools import Tool
 from carina.plan.movement.target_movement import TargetMovement, default_movement
 from carina.plan.routes.main_carina import ROOT, DistanceOrigin, origins_of_branches
-from carina.plan.routes.ranking import Demands, WorstValue
+from carina.plan.routes.ranking import PathRequirements, WorstValue
 from carina.plan.routes.route_width import widths_on_the_way
 from carina.plan.targets.grow_nodule import Nodule
 from carina.scopes import WallField
@@ -24,10 +24,10 @@ from carina.track import AirwayTree, Branch, TreeMeasures, branch_side_and_lobe
 Points = NDArray[np.float64]
 BronchusSign = Literal["into", "beside", "none"]
 
-PLACES_MM = 0.7
+POSITION_STEP_MM = 0.7
 """Distance in mm between two scope positions on one branch that are evaluated in the first pass."""
 ON_BRANCH_MM = 0.001
-FINE_MM = 0.175
+FINE_STEP_MM = 0.175
 """Distance in mm between the additional scope positions that a second pass evaluates round the best ones."""
 LOWER_LOBES = {"RUL": "RLL", "RML": "RLL", "LUL": "LLL", "LML": "LLL"}
 """Lower lobe of the same lung for each other lobe; a mirrored chest has LML."""
@@ -74,7 +74,7 @@ class NearestPlace:
         }
 
 
-class Ways:
+class CentrelinePoints:
     """Centreline points of a tree, with the width, bends and doubts of the path from the root to each point.
 
     Parameters
@@ -106,7 +106,7 @@ class Ways:
         widths: dict[int, Any] = {}
         for one in dict.fromkeys(self._origins.values()):
             whole = widths_on_the_way(tree, wall, measures, spacing_mm, one)
-            widths |= {branch: whole[branch] for branch, own in self._origins.items() if own == one}
+            widths |= {branch: whole[branch] for branch, branch_origin in self._origins.items() if branch_origin == one}
         self._bends: dict[int, tuple[Points, Points, Points]] = {}
         self._doubts: dict[int, tuple[str, ...]] = {}
 
@@ -130,7 +130,7 @@ class Ways:
         """Return the origin of the distances along the path to a branch."""
         return self._origins[branch_id]
 
-    def asks(self, n: int, section_mm: float | None) -> Demands:
+    def requirements_at(self, n: int, section_mm: float | None) -> PathRequirements:
         """Return the width and the bend that a scope needs for the path to point ``n``, and the doubts about this path.
 
         Parameters
@@ -152,7 +152,7 @@ class Ways:
             row = int(np.searchsorted(at, float(self.along_mm[n]) + 1e-6, side="right")) - 1
             if row >= 0:
                 bend = WorstValue(float(worst[row]), origin.past_mm(float(where[row])))
-        return Demands(self.width[n], bend, self._doubts[branch.id], self._trust(branch))
+        return PathRequirements(self.width[n], bend, self._doubts[branch.id], self._trust(branch))
 
     def _trust(self, branch: Branch) -> float:
         lineage = self._tree.lineage(branch.id)
@@ -163,7 +163,7 @@ class Ways:
         return tuple(words for one in self._tree.lineage(branch.id) for words in branch_doubts(one))
 
 
-class Places(Ways):
+class ScopePositions(CentrelinePoints):
     """Centreline points of a tree, with their distance and direction to one nodule."""
 
     def __init__(
@@ -188,7 +188,7 @@ class Places(Ways):
         return found
 
     def within_reach(
-        self, tool: Tool, aim_lps: Points, most_angle_deg: float, *, apart_mm: float = PLACES_MM
+        self, tool: Tool, aim_lps: Points, most_angle_deg: float, *, apart_mm: float = POSITION_STEP_MM
     ) -> NDArray[np.intp]:
         """Return the places from which the tool may reach the nodule forwards.
 
@@ -220,21 +220,21 @@ class Places(Ways):
                 chosen.append(int(n))
         return np.array(chosen, dtype=np.intp)
 
-    def beside(self, spots: Iterable[tuple[int, float]]) -> Places:
-        """Return a copy that contains only scope positions `FINE_MM` apart, round given ones.
+    def beside(self, spots: Iterable[tuple[int, float]]) -> ScopePositions:
+        """Return a copy that contains only scope positions `FINE_STEP_MM` apart, round given ones.
 
         Parameters
         ----------
         spots
             Id of the branch and distance from the root in mm, of each given place.
         """
-        steps = FINE_MM * np.arange(1, round(PLACES_MM / FINE_MM) + 1)
+        steps = FINE_STEP_MM * np.arange(1, round(POSITION_STEP_MM / FINE_STEP_MM) + 1)
         at: dict[int, list[Points]] = {}
         for branch, middle in spots:
             at.setdefault(branch, []).append(middle + np.concatenate([-steps, steps]))
         return self._interpolated(at)
 
-    def at(self, branch_id: int, along_mm: float) -> Places:
+    def at(self, branch_id: int, along_mm: float) -> ScopePositions:
         """Return a copy with one place, or with none if there is no such place in the tree.
 
         Parameters
@@ -246,7 +246,7 @@ class Places(Ways):
         known = len(along) > 0 and along[0] - ON_BRANCH_MM <= along_mm <= along[-1] + ON_BRANCH_MM
         return self._interpolated({branch_id: [np.array([along_mm])]} if known else {})
 
-    def _interpolated(self, at: dict[int, list[Points]]) -> Places:
+    def _interpolated(self, at: dict[int, list[Points]]) -> ScopePositions:
         """Return a copy with places at distances from the root in mm, by branch.
 
         The width at an interpolated place is the narrower one of its two neighbours.
@@ -254,12 +254,12 @@ class Places(Ways):
         finer = copy.copy(self)
         of: dict[str, list[Any]] = {name: [] for name in _COLUMNS}
         for branch, wanted in at.items():
-            own = np.flatnonzero(self.branch == branch)
-            along = self.along_mm[own]
+            rows = np.flatnonzero(self.branch == branch)
+            along = self.along_mm[rows]
             mm = np.unique(np.clip(np.concatenate(wanted), along[0], along[-1]))
-            high = np.clip(np.searchsorted(along, mm), 1, len(own) - 1)
+            high = np.clip(np.searchsorted(along, mm), 1, len(rows) - 1)
             share = ((mm - along[high - 1]) / np.maximum(along[high] - along[high - 1], 1e-9))[:, None]
-            before, after = own[high - 1], own[high]
+            before, after = rows[high - 1], rows[high]
             forward = (1.0 - share) * self.forward[before] + share * self.forward[after]
             of["points"].append((1.0 - share) * self.points[before] + share * self.points[after])
             of["forward"].append(forward / np.maximum(np.linalg.norm(forward, axis=1, keepdims=True), 1e-9))
@@ -303,18 +303,22 @@ class Places(Ways):
         """
         branch, _, _ = self._tree.nearest_branch(self.nodule.centre_lps)
         lobes = branch_side_and_lobe(self._tree)
-        own = lobes[branch.id]
-        lower = LOWER_LOBES.get(own or "")
+        nearest_lobe = lobes[branch.id]
+        lower = LOWER_LOBES.get(nearest_lobe or "")
         gap_mm: dict[str, float] = {}
         for one in self._tree.branches if lower is not None else ():
             lobe = lobes[one.id]
-            if lobe in {own, lower} and lobe is not None and len(one.points):
+            if lobe in {nearest_lobe, lower} and lobe is not None and len(one.points):
                 gap_mm[lobe] = min(gap_mm.get(lobe, math.inf), float(self.nodule.distance_mm(one.points).min()))
-        if lower is None or own is None or gap_mm.get(lower, math.inf) > gap_mm.get(own, 0.0) + EITHER_LOBE_MM:
-            return default_movement(own)
+        if (
+            lower is None
+            or nearest_lobe is None
+            or gap_mm.get(lower, math.inf) > gap_mm.get(nearest_lobe, 0.0) + EITHER_LOBE_MM
+        ):
+            return default_movement(nearest_lobe)
         note = (
-            f"airways of {own} and {lower} are about equally near to the target, which may be in either lobe or across "
-            f"the fissure; the larger movement, that of {lower}, is used"
+            f"airways of {nearest_lobe} and {lower} are about equally near to the target, which may be in either lobe "
+            f"or across the fissure; the larger movement, that of {lower}, is used"
         )
         return replace(default_movement(lower), notes=(note,))
 
@@ -360,8 +364,8 @@ def _along(tree: AirwayTree) -> dict[int, Points]:
     along: dict[int, Points] = {}
     # Parents precede their children in the tree.
     for branch in tree.branches:
-        own = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(branch.points, axis=0), axis=1))])
-        along[branch.id] = own if branch.parent is None else own + along[branch.parent][-1]
+        branch_mm = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(branch.points, axis=0), axis=1))])
+        along[branch.id] = branch_mm if branch.parent is None else branch_mm + along[branch.parent][-1]
     return along
 
 

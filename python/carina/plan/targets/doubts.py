@@ -269,23 +269,23 @@ class _Around:
 
     def __init__(self, volume: Volume, nodule: Nodule) -> None:
         self._nodule = nodule
-        own_mm = float(np.linalg.norm(nodule.lps_from_ijk[:3, 0]))
-        radius_mm = float(ball_distance(np.pad(nodule.inside_zyx, 1), own_mm).max())
-        step = own_mm if radius_mm > TUBE_COARSE_MM else min(own_mm, TUBE_STEP_MM)
+        voxel_mm = float(np.linalg.norm(nodule.lps_from_ijk[:3, 0]))
+        radius_mm = float(ball_distance(np.pad(nodule.inside_zyx, 1), voxel_mm).max())
+        step = voxel_mm if radius_mm > TUBE_COARSE_MM else min(voxel_mm, TUBE_STEP_MM)
         self.radius_mm = radius_mm
         """Radius of the largest ball in the target, mm."""
         self._beyond_mm = max(BEYOND_MM, radius_mm)
         pad_mm = max(self._beyond_mm, SHELL_MM[1]) + max(4.0, 0.5 * radius_mm)
-        sides_mm = np.array(nodule.inside_zyx.shape[::-1]) * own_mm + 2.0 * pad_mm
+        sides_mm = np.array(nodule.inside_zyx.shape[::-1]) * voxel_mm + 2.0 * pad_mm
         step = max(step, float(sides_mm.max()) / MAX_STEPS)
         num = np.ceil(sides_mm / step).astype(int) + 1
-        axes = nodule.lps_from_ijk[:3, :3] / own_mm
+        axes = nodule.lps_from_ijk[:3, :3] / voxel_mm
         matrix = np.eye(4)
         matrix[:3, :3] = axes * step
         matrix[:3, 3] = nodule.lps_from_ijk[:3, 3] - axes.sum(axis=1) * pad_mm
         box = Box.at(volume, matrix, tuple(int(n) for n in num[::-1]))
         self._step, self._known, self._lps_from_ijk = step, box.known, matrix
-        inside = _resampled(nodule.inside_zyx, num, step / own_mm, pad_mm / own_mm)
+        inside = _resampled(nodule.inside_zyx, num, step / voxel_mm, pad_mm / voxel_mm)
         self._inside = inside | enclosed(inside)
         self._smooth = smoothed(box.hu_zyx, SMOOTH_MM / step)
         self._away = distance_from(self._inside, step, pad_mm)

@@ -123,8 +123,8 @@ def target_from_file(
         mask = open_mask(file, volume, label=number, resample=resample, progress=watch.progress, cancel=cancel)
         nodule = nodule_from_mask(volume, mask, at_lps=at_lps)
         # The note about partial coverage is dropped: the file of a nodule need not cover the whole scan.
-        own_notes = (note for note in nodule.notes if not note.startswith(PART_OF_SCAN))
-        nodule = replace(nodule, notes=(*own_notes, *notes))
+        nodule_notes = (note for note in nodule.notes if not note.startswith(PART_OF_SCAN))
+        nodule = replace(nodule, notes=(*nodule_notes, *notes))
     given = named[:NAME_CHARS] if name is None else name
     if compare_click:
         text = click_note(volume, nodule, wall=wall, progress=watch.step)

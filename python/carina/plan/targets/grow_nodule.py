@@ -27,7 +27,7 @@ CLOSING_MM = 9.0
 """Radius in mm of the closing of the lumen that estimates the lumen as it would be without a lesion."""
 THINNEST_MM = 1.0
 """Minimum radius in mm of the largest ball in a lesion; thinner tissue is unevenness of the wall, or mucus."""
-OWN_AIR = 0.9
+MIN_LUMEN_FRACTION = 0.9
 """Minimum share of airway lumen in the air beside a lesion; air beside a nodule outside the airway is partly lung."""
 NOTE = "it stands into an airway; where its base lies in the wall the CT does not show"
 BASE_OFF_MM = 0.5
@@ -77,8 +77,8 @@ def endobronchial_lesion(volume: Volume, wall: WallField, point_lps: NDArray[np.
     if any(inside.take(end, axis=axis).any() for axis in range(3) for end in (0, -1)):
         return None
     air = (distance_from(inside, step, 2.6 * step) <= 2.6 * step) & ~inside & ~tissue
-    own = air & (to_wall > -step)
-    if not air.any() or float(own.sum()) < OWN_AIR * float(air.sum()):
+    in_lumen = air & (to_wall > -step)
+    if not air.any() or float(in_lumen.sum()) < MIN_LUMEN_FRACTION * float(air.sum()):
         return None
     return measured_mask(volume, inside, box.lps_from_ijk, notes=(NOTE,), touches=("airway wall",), off_mm=BASE_OFF_MM)
 

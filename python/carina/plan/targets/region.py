@@ -34,7 +34,7 @@ is brighter, also at full inspiration (about -860 HU) and with most emphysema.
 WALL_HU = -400.0
 THICK_MM = 3.5
 """Radius in mm of the opening that removes vessels from tissue; chest wall, mediastinum and diaphragm remain."""
-LOOK_MM = 12.0
+MARGIN_MM = 12.0
 """Distance in mm from a target's edge up to which the tissue determines the region (lung, pleura, mediastinum)."""
 SHELL_MM = (2.0, 4.0)
 """Range of distances in mm of the shell round a target; the blur of the target's edge ends before the shell."""
@@ -59,7 +59,7 @@ def whereabouts(volume: Volume, nodule: Nodule, *, wall: WallField | None = None
         Wall of the airways; without it a target in an airway is not recognised.
     """
     step = float(np.linalg.norm(nodule.lps_from_ijk[:3, 0]))
-    pad = int(np.ceil(LOOK_MM / step))
+    pad = int(np.ceil(MARGIN_MM / step))
     inside = np.pad(nodule.inside_zyx, pad)
     matrix = nodule.lps_from_ijk.copy()
     matrix[:3, 3] -= matrix[:3, :3] @ np.full(3, float(pad))

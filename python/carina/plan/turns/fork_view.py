@@ -34,7 +34,7 @@ MIN_SHARE = 2e-3
 """Minimum share of the picture's pixels that a visible opening occupies."""
 HIDDEN_DEG = 2.0
 """Angle in degrees above which an opening counts as hidden: between its visible part and its branch's beginning."""
-MIN_STAND_MM = 3.0
+MIN_CAMERA_DISTANCE_MM = 3.0
 """Minimum distance in mm of the camera from a fork; nearer, single points would determine the line of sight."""
 
 
@@ -147,14 +147,14 @@ def turned_hours(hours: float) -> float:
 def stand_mm(branch: Branch) -> float:
     """Return the distance in mm before a branch's end from which the camera looks at the fork.
 
-    The distance is one diameter of the branch, at most half the branch and at least `MIN_STAND_MM`, as in
+    The distance is one diameter of the branch, at most half the branch and at least `MIN_CAMERA_DISTANCE_MM`, as in
     `carina.case.routes.lookouts_mm`.
     """
     along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(branch.points, axis=0), axis=1))])
     # The tolerance includes a point exactly in the middle, whatever its rounding.
     first_half = along <= 0.5 * along[-1] + 1e-9
     diameter = 2.0 * float(np.median(branch.radius[first_half]))
-    return max(min(diameter, 0.5 * float(along[-1])), MIN_STAND_MM)
+    return max(min(diameter, 0.5 * float(along[-1])), MIN_CAMERA_DISTANCE_MM)
 
 
 def openings_seen(camera: Pose, walls: ForkWalls, branches: Sequence[Branch], walls_lps: Points) -> tuple[Opening, ...]:
@@ -224,7 +224,7 @@ def _seen_through(outline: NDArray[np.bool_], camera: Pose, axis_lps: Points, wa
     for point in axis_lps:
         column, row = (int(v) for v in pixel_at(camera, point, outline.shape[0]))
         depth = float(np.linalg.norm(walls_lps[row, column] - camera.position_lps))
-        # The depth is not a number where no wall is near.
+        # The depth is NaN where the ray meets no near wall; a point in front of it counts as seen.
         if inner[row, column] and not float(np.linalg.norm(point - camera.position_lps)) > depth:
             found.append(point)
         elif found:

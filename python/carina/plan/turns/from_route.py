@@ -17,7 +17,7 @@ from carina.plan.routes.plan_route import PlannedRoute
 from carina.plan.routes.route_width import RouteOpening, RouteWidth, ball_error_mm, narrowest_opening, opening_mm
 from carina.plan.routes.standing_points import branch_doubts, branch_title
 from carina.plan.turns.fork_view import (
-    MIN_STAND_MM,
+    MIN_CAMERA_DISTANCE_MM,
     HourDoubt,
     Opening,
     hour_doubt,
@@ -55,7 +55,7 @@ the tree's tubes without a CT.
 """
 SMALL_SHARE = 0.02
 """Share of the picture below which an opening is small; a coarse picture would divide such an opening into parts."""
-STANDS = (0.75, 0.6, 1.0, 1.5)
+DISTANCE_FACTORS = (0.75, 0.6, 1.0, 1.5)
 """Distances of the camera before a fork, in airway diameters, that are tried if the usual distance gives no hour."""
 BALL_SPACING_MM = 1.0
 """Spacing of the CT in mm that is assumed for the error of an opening that was not measured."""
@@ -362,8 +362,8 @@ def _stands_mm(fork: _Fork) -> list[float]:
     usual = stand_mm(fork.mother)
     diameter = 2.0 * _radius_mm(fork.mother)
     found = [usual]
-    for share in STANDS:
-        other = max(share * diameter, MIN_STAND_MM)
+    for share in DISTANCE_FACTORS:
+        other = max(share * diameter, MIN_CAMERA_DISTANCE_MM)
         if all(abs(other - one) > MIN_MOVE_MM for one in found):
             found.append(other)
     return found
@@ -381,7 +381,7 @@ def _eye(way: Points, fork: _Fork, stand: float, walls: ForkWalls) -> Points:
     end = fork.mother.points[-1]
     if float(np.linalg.norm(end - eye)) > SAME_PLACE_MM:
         return eye
-    # The route begins at this fork: the camera looks from the opposite side of the branches' middle.
+    # The route begins at this fork, so no airway leads to it: the camera is behind the fork, opposite to its branches.
     ahead = np.mean([mouth - end for mouth in walls.mouths_lps], axis=0)
     length = float(np.linalg.norm(ahead))
     ahead = ahead / length if length > 0.0 else np.array([0.0, 0.0, -1.0])

@@ -19,7 +19,7 @@ FOV_DEG = 120.0
 """Field of view of the pictures of turns in degrees, as wide as that of the library's scopes."""
 NEAR_MM = 80.0
 """Distance in mm from the fork within which branches are considered when walls are assigned to branches."""
-PLACES_MM = 0.7
+POSITION_STEP_MM = 0.7
 """Distance in mm between the centreline points from which the distance to a branch's surface is computed."""
 BESIDE_MM = 4.0
 """Maximum distance in mm of a wall outside a branch's surface that still belongs to the branch."""
@@ -235,7 +235,7 @@ def _least_gap_mm(points: Points, tubes: list[tuple[Points, Field]]) -> Field:
 def _places(branch: Branch) -> tuple[Points, Field]:
     """Return evenly spaced points (n, 3) of a branch's centreline and the radii (n,) at these points."""
     along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(branch.points, axis=0), axis=1))])
-    at = np.linspace(0.0, along[-1], max(2, math.ceil(along[-1] / PLACES_MM) + 1))
+    at = np.linspace(0.0, along[-1], max(2, math.ceil(along[-1] / POSITION_STEP_MM) + 1))
     line = np.stack([np.interp(at, along, branch.points[:, axis]) for axis in range(3)], axis=1)
     return line, np.interp(at, along, branch.radius)
 

@@ -197,7 +197,8 @@ class MoveRecorder:
     def bend_to(self, towards_deg: float, flexion_deg: float) -> bool:
         """Begin a move that bends the tip in a direction; return whether the roll or the lever changed.
 
-        The lever goes up or down, whichever needs the smaller turn, in steps of 5 degrees.
+        The lever bends the tip up or down, whichever needs less roll and keeps the bend in the range of the lever. Roll
+        and lever change in steps of 5 degrees.
 
         Parameters
         ----------

@@ -56,7 +56,7 @@ class DriveWay:
         self._radius_mm = route.radius_mm
         self._fine_mm = np.arange(0.0, float(self.cumulative_mm[-1]) + 1e-9, FINE_MM)
         self._fine = self.at(self._fine_mm)
-        self._fine_room_mm = wall.distance_mm(self._fine)
+        self._fine_clearance_mm = wall.distance_mm(self._fine)
         # A search calls for these values at the same places of the route again and again.
         self._radii_mm: dict[float, float] = {}
         self._points: dict[float, Points] = {}
@@ -72,18 +72,18 @@ class DriveWay:
         lineage = tree.lineage(planned.branch_id)
         points = np.concatenate([branch.points for branch in lineage])
         at = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
-        room = np.concatenate([ball_diameters_mm(branch, wall) for branch in lineage])
+        ball_mm = np.concatenate([ball_diameters_mm(branch, wall) for branch in lineage])
         on_the_way = (at >= CUT_MM) & (at <= planned.along_mm + 1e-6)
-        self.room_at_mm, self.room_mm = at[on_the_way], room[on_the_way]
+        self.ball_at_mm, self.ball_diameter_mm = at[on_the_way], ball_mm[on_the_way]
 
     @property
-    def wall_room_mm(self) -> float:
+    def passable_diameter_mm(self) -> float:
         """Diameter in mm of the largest ball that passes to the end of the route inside the wall mesh.
 
         The diameter may differ from `width`, which is measured in the CT; the wall is a mesh of the segmented lumen.
         """
         on_the_way = (self._fine_mm >= CUT_MM) & (self._fine_mm <= self.park_mm)
-        return 2.0 * float(self._fine_room_mm[on_the_way].min()) if on_the_way.any() else math.inf
+        return 2.0 * float(self._fine_clearance_mm[on_the_way].min()) if on_the_way.any() else math.inf
 
     @property
     def length_mm(self) -> float:
@@ -126,7 +126,7 @@ class DriveWay:
         found = self._radii_mm.get(mm)
         if found is None:
             area = float(np.interp(mm, self.cumulative_mm, self._radius_mm))
-            found = self._radii_mm[mm] = max(area, float(np.interp(mm, self._fine_mm, self._fine_room_mm)))
+            found = self._radii_mm[mm] = max(area, float(np.interp(mm, self._fine_mm, self._fine_clearance_mm)))
         return found
 
     def nearest(self, point: Points, around_mm: float) -> tuple[float, float]:
@@ -163,10 +163,10 @@ class DriveWay:
         ahead = np.arange(along_mm + farthest_mm, along_mm + MIN_AHEAD_MM - 0.1, -1.0)
         places = self.at(np.minimum(ahead, self.length_mm))
         line = tip + SHARES_AHEAD * (places - tip)[:, None, :]
-        room = self.wall.core.distance_mm(line.reshape(-1, 3)).reshape(len(places), -1)
+        clearance_mm = self.wall.core.distance_mm(line.reshape(-1, 3)).reshape(len(places), -1)
         # In a narrow airway a smaller clearance suffices.
-        needed = np.minimum(clear_mm, 0.6 * np.maximum(room[:, -1], 0.3))
-        seen = np.flatnonzero((room >= needed[:, None]).all(axis=1))
+        needed = np.minimum(clear_mm, 0.6 * np.maximum(clearance_mm[:, -1], 0.3))
+        seen = np.flatnonzero((clearance_mm >= needed[:, None]).all(axis=1))
         found: Points = places[int(seen[0])] if seen.size else places[-1]
         return found
 

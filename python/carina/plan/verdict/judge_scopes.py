@@ -7,7 +7,7 @@ from concurrent.futures import Future, ThreadPoolExecutor, as_completed
 from dataclasses import dataclass, replace
 from typing import Any
 
-from carina.display.progress import ProgressChoice, progress_function, share_function, shows_progress
+from carina.display.progress import ProgressChoice, fraction_callback, progress_function, shows_progress
 from carina.errors import UsageError
 from carina.plan.instruments.tools import Tool
 from carina.plan.routes.plan_route import Plan, PlannedRoute
@@ -86,8 +86,8 @@ def judge_scopes(
         cancel=cancel,
     )
     listed = tuple(scope_presets() if scopes is None else scopes)
-    on_share = share_function(progress_function(progress), "driving each instrument along the route")
-    (verdicts,) = _judged([_Task(judge, listed)], found, on_share)
+    on_progress = fraction_callback(progress_function(progress), "driving each instrument along the route")
+    (verdicts,) = _judged([_Task(judge, listed)], found, on_progress)
     return verdicts
 
 
@@ -100,7 +100,7 @@ class _Task:
 
 
 def _judged(
-    tasks: Sequence[_Task], found: Callable[[Verdict], None] | None, on_share: Callable[[float], None] | None
+    tasks: Sequence[_Task], found: Callable[[Verdict], None] | None, on_progress: Callable[[float], None] | None
 ) -> list[tuple[Verdict, ...]]:
     """Return the verdicts of each task in the order of its instruments.
 
@@ -113,11 +113,11 @@ def _judged(
         verdicts[place] = verdict
         if found is not None:
             found(verdict)
-        if on_share is not None:
-            on_share(len(verdicts) / num)
+        if on_progress is not None:
+            on_progress(len(verdicts) / num)
 
-    if on_share is not None:
-        on_share(0.0)
+    if on_progress is not None:
+        on_progress(0.0)
     waiting: dict[tuple[int, int], InstrumentChecks] = {}
     for n, task in enumerate(tasks):
         for k, scope in enumerate(task.scopes):
@@ -201,7 +201,7 @@ def judge_pairs(
     if not plan.routes:
         raise UsageError("the plan has no route to judge", code="plan.no-route")
     listed = list(scope_presets() if scopes is None else scopes)
-    on_share = share_function(progress_function(progress), "driving each instrument along the best routes")
+    on_progress = fraction_callback(progress_function(progress), "driving each instrument along the best routes")
     chosen = plan.routes[:routes]
     by_tool: dict[Tool, list[ScopePreset]] = {}
     for scope in listed:
@@ -219,7 +219,7 @@ def judge_pairs(
             cancel=cancel,
         )
         tasks += [_Task(judge.with_tool(tool), tuple(presets)) for tool, presets in by_tool.items()]
-    judged = [verdict for verdicts in _judged(tasks, found, on_share) for verdict in verdicts]
+    judged = [verdict for verdicts in _judged(tasks, found, on_progress) for verdict in verdicts]
     return pairs_in_order(plan, judged, available=available)
 
 

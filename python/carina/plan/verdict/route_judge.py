@@ -244,10 +244,10 @@ class RouteJudge:
             driven_as = None
         elif self._errors:
             is_measured = self._route.lumen is not None
-            room_mm = self._way.width.mm if is_measured else float(self._way.room_mm.min()) - FIELD_LACK_MM
-            is_tight = not is_measured and max(scope.tip_mm, scope.tube_mm or 0.0) > room_mm - SPARE_MM
+            diameter_mm = self._way.width.mm if is_measured else float(self._way.ball_diameter_mm.min()) - FIELD_LACK_MM
+            is_tight = not is_measured and max(scope.tip_mm, scope.tube_mm or 0.0) > diameter_mm - SPARE_MM
             if checks[0].answer == "perhaps" or is_tight:
-                slim = min(max(room_mm - SLIMMER_MM, THINNEST_MM), scope.tip_mm)
+                slim = min(max(diameter_mm - SLIMMER_MM, THINNEST_MM), scope.tip_mm)
                 driven_as = replace(scope, tip_mm=slim, tube_mm=None)
         return InstrumentChecks(checks, driven_as, driven_as is not None and driven_as is not scope)
 

@@ -23,7 +23,7 @@ from carina.volume import badges_of
 SIDES_PX = (16, 8192)
 UPDATE_S = 20.0
 """Maximum time in s to wait until the renderer shows the newest airways and transfer function."""
-LOOK_S = 0.05
+POLL_INTERVAL_S = 0.05
 """Time in s between two checks whether the renderer shows the requested state of the case."""
 DISCONNECT_CHECK_S = 0.2
 """Time in s between two checks whether the client has disconnected."""
@@ -188,7 +188,7 @@ class Pictures:
                 return state
             if time.monotonic() > end_s:
                 raise CarinaError("this view is being updated: wait, and save the image again", code="render.changed")
-            time.sleep(LOOK_S)
+            time.sleep(POLL_INTERVAL_S)
 
 
 def _check(stop: CancelToken) -> None:
@@ -203,6 +203,6 @@ async def _to_its_end(work: Coroutine[Any, Any, bytes]) -> bytes:
         return await asyncio.shield(task)
     except asyncio.CancelledError:
         await asyncio.wait({task})
-        # The exception is read because asyncio would log an exception that nobody has read.
+        # The exception is read because asyncio logs an exception that is never read.
         task.exception()
         raise

@@ -31,7 +31,7 @@ DICOM_SUFFIXES = (".seg.dcm", ".sr.dcm", ".pdf.dcm")
 STEM: dict[ReportKind, str] = {"report": "plan", "tracing": "tracing-sheet"}
 """Beginning of the file name by kind of report; it contains neither the patient nor the case."""
 SHEET_SHARE = 0.8
-LOOK_S = 0.2
+POLL_INTERVAL_S = 0.2
 # The sandbox gives the report a separate origin without access to the server; the report also has its own policy.
 SANDBOX = "sandbox allow-scripts allow-modals"
 
@@ -215,5 +215,5 @@ def _with_verdicts(session: Session, materials: PlanMaterials, target_id: str, j
     while session.ask(PlanningOf()).verdicts_standing == "making":
         waited = True
         job.progress("waiting for the verdicts on the instruments", None)
-        time.sleep(LOOK_S)
+        time.sleep(POLL_INTERVAL_S)
     return session.ask(PlanToTakeAway(target_id)) if waited else materials

@@ -62,7 +62,7 @@ class _Upload:
     scratch: ScratchFolder
     tag: str
     folder: Path
-    own: dict[Path, tuple[Path, str]] = field(default_factory=dict)
+    files: dict[Path, tuple[Path, str]] = field(default_factory=dict)
     """For each path on disk: the safe relative path, and the last part of the name that the browser sent."""
     num_files: int = 0
     num_bytes: int = 0
@@ -194,7 +194,7 @@ class Uploads:
             place = self.names.another_neutral_path(upload.tag, place)
         if not path.resolve().is_relative_to(upload.folder):
             raise UsageError("this file name cannot be used", code="upload.name")
-        upload.own[path] = (relative, re.split(r"[/\\]", name)[-1])
+        upload.files[path] = (relative, re.split(r"[/\\]", name)[-1])
         return path
 
 
@@ -224,16 +224,16 @@ def _with_data_file_names(upload: _Upload, header: Path) -> Path:
         named = _DATA_FILE.search(data)
         if named is not None:
             wanted = named[2].decode("utf-8", "replace")
-            for path, (_, own) in upload.own.items():
-                if own == wanted and path.parent == header.parent and path != header:
+            for path, (_, original_name) in upload.files.items():
+                if original_name == wanted and path.parent == header.parent and path != header:
                     header.write_bytes(data[: named.start(2)] + path.name.encode() + data[named.end(2) :])
                     return header
                 if path.name == wanted:
                     return header
             if wanted.upper() == "LOCAL":
                 return header
-        # Such a header contains a list or a number pattern of file names, so the files must have their original names.
-        for path, (relative, _) in upload.own.items():
+        # A header with a list or a number pattern of file names refers to the original names, so they are restored.
+        for path, (relative, _) in upload.files.items():
             back = upload.folder / relative
             create_folders(back.parent, private=True)
             if path.is_file() and not back.exists():

@@ -88,7 +88,7 @@ class _PacedView:
         return self.width * self.height
 
     def is_moving(self, now_s: float) -> bool:
-        # Compared with still_s: the rounding of a difference could end the movement just before the wake-up time.
+        # The wake-up time is still_s, so this value is compared: a rounded difference could end the movement earlier.
         return now_s < self.still_s
 
     @property
@@ -193,8 +193,8 @@ class FrameScheduler:
             if view.seen_key is None:
                 continue
             if self._has_new_content(view, now_s):
-                room_s = now_s if self._has_room(name, now_s) else min(view.in_flight.values()) + LOST_AFTER_S
-                times.append(max(room_s, self._held_until_s(name, now_s)))
+                sendable_s = now_s if self._may_send(name, now_s) else min(view.in_flight.values()) + LOST_AFTER_S
+                times.append(max(sendable_s, self._held_until_s(name, now_s)))
             elif view.sent_grade < FULL:
                 times.append(view.still_s)
         return min(times, default=None)
@@ -295,7 +295,7 @@ class FrameScheduler:
         """Return the number of pictures of a view that were sent and not acknowledged."""
         return len(self._views[view].in_flight) if view in self._views else 0
 
-    def _has_room(self, name: str, now_s: float) -> bool:
+    def _may_send(self, name: str, now_s: float) -> bool:
         in_flight = self._views[name].in_flight
         for frame_id in [n for n, sent_s in in_flight.items() if now_s >= sent_s + LOST_AFTER_S]:
             del in_flight[frame_id]
@@ -306,7 +306,7 @@ class FrameScheduler:
 
     def _is_due(self, name: str, now_s: float) -> bool:
         view = self._views[name]
-        return view.seen_key is not None and self._has_room(name, now_s) and self._has_new_content(view, now_s)
+        return view.seen_key is not None and self._may_send(name, now_s) and self._has_new_content(view, now_s)
 
     def _expected_s(self, name: str, now_s: float) -> float:
         view = self._views[name]

@@ -112,7 +112,7 @@ class TimeoutProtocol(H11Protocol):
 
     def _close_after_timeout(self) -> None:
         # After an upgrade the transport belongs to a WebSocket protocol, and this object gets no connection_lost(). A
-        # closed TLS transport no longer knows its protocol, so is_closing() is checked first.
+        # closed TLS transport has no protocol, so is_closing() is checked first.
         if self.transport.is_closing() or self.transport.get_protocol() is not self:
             return
         if self._waits_for == "body" and (self._is_idle() or self.flow.read_paused):

@@ -13,7 +13,7 @@ from carina.server.network.connection_limits import UnauthenticatedConnections
 
 CLOSE_TIMEOUT_S = 0.5
 """Seconds that a client has to read the remaining data and finish the closing handshake of a closed connection."""
-LOOK_EVERY_S = 0.02
+POLL_INTERVAL_S = 0.02
 
 
 class TimedShutdownServer(uvicorn.Server):
@@ -77,4 +77,4 @@ class TimedShutdownServer(uvicorn.Server):
                         self._unauthenticated.abort(transport)
                 elif now_s - closing_since.setdefault(connection, now_s) >= CLOSE_TIMEOUT_S:
                     self._unauthenticated.abort(transport)
-            await asyncio.sleep(LOOK_EVERY_S)
+            await asyncio.sleep(POLL_INTERVAL_S)

@@ -69,8 +69,8 @@ class Inbox:
         self._num_commands = 0
         self._num_handled = 0
         self._changed = asyncio.Event()
-        self._room = asyncio.Event()
-        self._room.set()
+        self._has_space = asyncio.Event()
+        self._has_space.set()
         self._steered_s = float("-inf")
 
     @property
@@ -80,14 +80,14 @@ class Inbox:
 
     async def put(self, message: Any) -> None:
         """Queue a message, or merge it into the last one; wait while the queue is full."""
-        await self._room.wait()
+        await self._has_space.wait()
         self._num_commands += isinstance(message, Command)
         if self._waiting and (merged := _merge(self._waiting[-1][1], message)) is not None:
             self._waiting[-1] = self._num_commands, merged
             return
         self._waiting.append((self._num_commands, message))
         if len(self._waiting) >= MAX_WAITING:
-            self._room.clear()
+            self._has_space.clear()
         self._changed.set()
 
     async def run(self) -> None:
@@ -96,7 +96,7 @@ class Inbox:
         try:
             await self._handle_messages(loop)
         finally:
-            self._room.set()
+            self._has_space.set()
 
     async def _handle_messages(self, loop: asyncio.AbstractEventLoop) -> None:
         while True:
@@ -120,7 +120,7 @@ class Inbox:
         """Drop all queued messages, after a client has sent too many."""
         self._waiting.clear()
         self._changed.clear()
-        self._room.set()
+        self._has_space.set()
 
     def handle_all(self) -> None:
         """Handle all queued messages now, after the client has disconnected."""
@@ -130,7 +130,7 @@ class Inbox:
     def _handle_next(self) -> None:
         if self._waiting:
             num_commands, message = self._waiting.popleft()
-            self._room.set()
+            self._has_space.set()
             if not self._waiting:
                 self._changed.clear()
             self._handle(message)

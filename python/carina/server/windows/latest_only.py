@@ -26,7 +26,7 @@ class LatestTaskRunner:
     def submit(self, kind: str, task: Callable[[], None]) -> None:
         """Queue a task and drop the pending task of the same kind; the task must not raise."""
         with self._changed:
-            # The task goes to the end of the queue, so that the kinds take turns.
+            # The task is queued as the last one, so that no kind of task can delay the others for long.
             self._tasks.pop(kind, None)
             self._tasks[kind] = task
             self._changed.notify()

@@ -199,9 +199,9 @@ def _ts_name(cls: type[Any]) -> str:
 
     The name of a message ends in ``Message``. ``wire_name`` of a class replaces its name in Python.
     """
-    own_name = vars(cls).get("wire_name")
-    if own_name is not None:
-        return str(own_name)
+    wire_name = vars(cls).get("wire_name")
+    if wire_name is not None:
+        return str(wire_name)
     suffix = "Message" if type_name(cls) is not None and not cls.__name__.endswith("Message") else ""
     return str(getattr(cls, "typescript_prefix", "")) + cls.__name__ + suffix
 
@@ -307,13 +307,13 @@ def _display_fields() -> list[str]:
             }
             words = ", ".join(f"{name}: {json.dumps(value)}" for name, value in row.items())
             lines.append(f"  {type_name(cls)}: {{ {words} }},")
-    connections_own = ", ".join(json.dumps(name) for name in messages.CLIENT_MESSAGES if name not in commands)
+    no_commands = ", ".join(json.dumps(name) for name in messages.CLIENT_MESSAGES if name not in commands)
     return [
         *lines,
         "} as const;",
         "",
         "/** Messages of a client that are not commands; `handled` does not count them. */",
-        f"export const NO_COMMANDS: readonly string[] = [{connections_own}];",
+        f"export const NO_COMMANDS: readonly string[] = [{no_commands}];",
         "",
     ]
 

@@ -39,7 +39,7 @@ Other ones are packed to save memory.
 """
 MAX_RENAMINGS_LISTED = 6
 """Maximum number of renamed branches that the message after an edit lists."""
-LOOK_S = 0.05
+POLL_INTERVAL_S = 0.05
 """Interval, in s, at which an edit that waits for an earlier edit checks whether it was stopped."""
 
 
@@ -68,7 +68,7 @@ class TreeEditHandlers(CommandHandlers):
         number = next(self._edit_numbers)
 
         def work(job: Job) -> None:
-            while not self._one_edit.acquire(timeout=LOOK_S):
+            while not self._one_edit.acquire(timeout=POLL_INTERVAL_S):
                 job.check()
             try:
                 self._run_edit(case, edit, job)

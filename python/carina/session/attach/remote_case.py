@@ -35,7 +35,7 @@ from carina.volume import VolumeCache
 OWNED_WITHIN_S = 20.0
 """Maximum time in s to take over a case whose former owner still writes the last changes."""
 DOOR_WITHIN_S = 3.0
-LOOK_EVERY_S = 0.05
+POLL_INTERVAL_S = 0.05
 CLOCKS_S = 0.1
 """Tolerance in s in the comparison of a step's time (since its case was created) with a clock time."""
 OTHER_CASES = (
@@ -341,7 +341,7 @@ class RemoteCase:
             if (endpoint is not None and endpoint.url is None) or time.monotonic() >= end_s:
                 self._become_sole_process("another program has it open")
                 return
-            time.sleep(LOOK_EVERY_S)
+            time.sleep(POLL_INTERVAL_S)
 
     def _join_new_owner(self, endpoint: AttachEndpoint) -> bool:
         link = OwnerConnection.connect(endpoint, self._case_id)
@@ -396,7 +396,7 @@ def _connect_to_owner(records: CaseRecords, record: CaseRecord) -> OwnerConnecti
             return OwnerConnection.connect(endpoint, record.case_id)
         if not records.is_held(record) or time.monotonic() >= end_s:
             return None
-        time.sleep(LOOK_EVERY_S)
+        time.sleep(POLL_INTERVAL_S)
 
 
 def _checked_saving_info(settled: Settled) -> SavingInfo:

@@ -100,7 +100,7 @@ class NamedCase:
             self._named.close()
 
     def set_ct_path(self, place: str | Path) -> None:
-        """Remember the path of the CT from which a case without a file was opened, for the first save."""
+        """Store the path of the CT from which a case without a file was opened, for the first save."""
         self._ct_place = str(Path(place).expanduser().absolute())
 
     def save(
@@ -112,7 +112,7 @@ class NamedCase:
         replace: bool,
         flights: Sequence[WholeRecording] = (),
     ) -> Path:
-        """Write the case as one whole file; with a path, that file belongs to the case from now on.
+        """Write the case to one file; a file at a given path becomes the named file of the case.
 
         The given flights are added to the flights in the file.
 

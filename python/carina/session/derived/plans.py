@@ -788,9 +788,9 @@ def shown_surface(nodule: Nodule) -> Mesh:
     inside, lps_from_ijk = nodule.inside_zyx, np.array(nodule.lps_from_ijk, dtype=np.float64)
     step = -(-max(inside.shape) // MAX_SHOWN)
     if step > 1:
-        room = [-(-size // step) * step for size in inside.shape]
-        padded = np.pad(inside, [(0, after - size) for after, size in zip(room, inside.shape, strict=True)])
-        nz, ny, nx = (size // step for size in room)
+        padded_shape = [-(-size // step) * step for size in inside.shape]
+        padded = np.pad(inside, [(0, after - size) for after, size in zip(padded_shape, inside.shape, strict=True)])
+        nz, ny, nx = (size // step for size in padded_shape)
         inside = padded.reshape(nz, step, ny, step, nx, step).mean(axis=(1, 3, 5)) >= 0.5
         lps_from_ijk[:3, 3] += lps_from_ijk[:3, :3] @ np.full(3, 0.5 * (step - 1))
         lps_from_ijk[:3, :3] *= step

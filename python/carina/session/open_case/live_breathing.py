@@ -30,7 +30,7 @@ class LiveBreathing:
     """
 
     breathing: Breathing | None = None
-    """The breathing with its coughs on its own clock; None if it is off."""
+    """The breathing with its coughs, on a clock that starts with the breathing; None if it is off."""
     last: Breathing | None = None
     """The last breathing that was on, whose settings a window offers while the breathing is off."""
     began_s: float = 0.0

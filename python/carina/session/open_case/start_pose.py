@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 CAUDAL_LPS = (0.0, 0.0, -1.0)
 # Distances, in mm, of the camera before a point; the largest one with a free line of sight is used.
-STAND_BACK_MM = (12.0, 10.0, 8.0, 6.0, 4.0, 3.0, 2.0)
+DISTANCES_MM = (12.0, 10.0, 8.0, 6.0, 4.0, 3.0, 2.0)
 # Length of the line of sight before the point, in mm, that is not tested: the point may be in the wall.
 WALL_MM = 1.5
 
@@ -43,11 +43,11 @@ def pose_before_airways(volume: Volume) -> Pose:
 def pose_at_root(airways: Airways) -> Pose:
     """Return the pose at the root that looks along the first branch; anterior is up (operator at the head)."""
     root = airways.tree.root
-    look = root.points[-1] - root.points[0]
+    direction = root.points[-1] - root.points[0]
     at = [float(v) for v in airways.root_lps]
-    if float(np.linalg.norm(look)) < 1e-6:
+    if float(np.linalg.norm(direction)) < 1e-6:
         return Pose.looking(at, CAUDAL_LPS)
-    return Pose.looking(at, [float(v) for v in look])
+    return Pose.looking(at, [float(v) for v in direction])
 
 
 def pose_before_place(
@@ -79,7 +79,7 @@ def pose_before_place(
     way = tree.route_to(branch_id)
     at = int(np.argmin(np.linalg.norm(way.points_lps - place, axis=1)))
     stand = None
-    for back_mm in STAND_BACK_MM:
+    for back_mm in DISTANCES_MM:
         along_mm = way.cumulative_mm[at] - back_mm
         if along_mm < 0.0:
             continue
@@ -88,8 +88,8 @@ def pose_before_place(
             break
     if stand is None:
         stand = way.points_lps[0]
-    look = place - stand
-    return None if float(np.linalg.norm(look)) < 1e-3 else Pose.looking(stand, look)
+    direction = place - stand
+    return None if float(np.linalg.norm(direction)) < 1e-3 else Pose.looking(stand, direction)
 
 
 def _is_in_view(

@@ -67,7 +67,7 @@ class SavedAs:
 
 @dataclass(frozen=True, slots=True)
 class _WorkInNamedFileOnly:
-    """Work that a named file has and the live file does not, because the disk of the live file refuses it."""
+    """Work that only a named file contains, because writing to the disk of the live file failed."""
 
     path: Path
     moment: Moment

@@ -50,7 +50,7 @@ class RunningTask(FrozenValue, frozen=True):
     is_warning: bool = False
     """Whether the message reports a fault, such as a wrong branch or a contact with the wall."""
     paused: bool = False
-    """Whether the attempt is paused: the clock stands still, and the tip does not move."""
+    """Whether the attempt is paused: the clock is stopped, and the tip does not move."""
     learner: OwnName | None = None
     """Pseudonym of the learner to whom the score is stored, who was chosen at the start; null stores no score."""
 

@@ -1,4 +1,4 @@
-"""Private settings files: CTs opened before, read notice and hints, CT cache, available instruments, processor.
+"""Private settings files: recent CTs, accepted notice and read hints, CT cache, available instruments, processor.
 
 A path is needed to open a CT again and is never sent to a client, which receives an id, a date and a neutral alias.
 """

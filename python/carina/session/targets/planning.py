@@ -165,7 +165,7 @@ class PlanHandlers(CommandHandlers):
             assert target.lesion is not None
             options = target.lesion.options
             same = (options.scope, options.tool) == (command.scope, command.tool)
-            # Each route of the present plan ends where the tip of the planned scope stands.
+            # Each route of the present plan ends at the parking position of the planned scope.
             needle = NeedleLine((route.leg.tip_lps, route.leg.aim_lps), route.leg.to_target_mm)
             if not same and verdict is not None and verdict.needle_lps is not None:
                 needle = NeedleLine(verdict.needle_lps, needle_to_target_mm(planned.plan, verdict))

@@ -136,7 +136,7 @@ class TrainingHandlers(CommandHandlers):
         super().__init__(core)
         core.device_lost = self._device_lost
         self._tasks = tasks
-        self._own_read: FolderTasks | None = FolderTasks() if tasks is None else None
+        self._tasks_read: FolderTasks | None = FolderTasks() if tasks is None else None
         """Tasks of teachers; None before the first reading."""
         self._course = course
         self._quizzes = quizzes
@@ -150,11 +150,11 @@ class TrainingHandlers(CommandHandlers):
             lambda state: task_infos(*state), same=_same_tasks
         )
 
-    def _own_tasks(self) -> FolderTasks:
+    def _user_tasks(self) -> FolderTasks:
         """Return the tasks of teachers, without reading the disk again."""
-        if self._own_read is None and self._tasks is not None:
-            self._own_read = self._tasks.read()
-        return self._own_read or FolderTasks()
+        if self._tasks_read is None and self._tasks is not None:
+            self._tasks_read = self._tasks.read()
+        return self._tasks_read or FolderTasks()
 
     def _find_task(self, name: str) -> Task:
         return find_task(name) if self._tasks is None else self._tasks.find(name)
@@ -163,7 +163,7 @@ class TrainingHandlers(CommandHandlers):
     def read_files(self, _command: c.ReadTrainingFiles) -> None:
         """Read the tasks of teachers and the learners again; the disk is read without the session's lock."""
         if self._tasks is not None:
-            self._own_read = self._tasks.read()
+            self._tasks_read = self._tasks.read()
         self._course.read_files()
         self.core.changed("training")
 
@@ -276,7 +276,7 @@ class TrainingHandlers(CommandHandlers):
             if attempt is None or attempt.is_paused == command.paused:
                 return
             if command.paused:
-                # The time before the pause belongs to the attempt.
+                # The pause stops the clock, so the time since the last sample must be recorded before it.
                 attempt.sample(case.navigator.pose, self.core.clock())
                 attempt.pause(self.core.clock())
                 self._recorder.pause()
@@ -533,10 +533,10 @@ class TrainingHandlers(CommandHandlers):
         if case is None:
             with self.core.lock:
                 return TrainingInfo(course=self._course.info())
-        own = self._own_tasks()
+        user_tasks = self._user_tasks()
         with self.core.lock:
             state = self._of(case)
-            tasks = self._suitable.of((case.document, own))
+            tasks = self._suitable.of((case.document, user_tasks))
             numbers = [one.recording_id for one in case.flights.listed]
             listed = [(number, state.scores[number]) for number in numbers if number in state.scores]
             quiz = self._quizzes.info_of(case)
@@ -547,7 +547,7 @@ class TrainingHandlers(CommandHandlers):
         return TrainingInfo(
             tasks=tasks,
             task_folder=None if self._tasks is None else str(self._tasks.folder),
-            task_problems=own.problems,
+            task_problems=user_tasks.problems,
             running=running,
             quiz=quiz,
             scores=tuple(flight_score(number, one, segments, compared.get(number)) for number, one in listed),

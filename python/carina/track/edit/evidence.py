@@ -137,7 +137,7 @@ class Evidence:
         far = np.concatenate([run.far_rise for run in found])
         usual = max(self.compared_with.rise, float(np.quantile(rise, BEST_RUNS)))
         far_usual = max(FAR_SHARE * usual, float(np.quantile(far, BEST_RUNS)))
-        bright = float(np.quantile(np.concatenate([run.own for run in found]), 0.75))
+        bright = float(np.quantile(np.concatenate([run.middle for run in found]), 0.75))
         self.compared_with = LungBaseline(usual, far_usual, bright)
 
     def way(self, lumen: EditedLumen, voxel: NDArray[np.int64], toward: NDArray[np.int64], tips: Voxels) -> Voxels:
@@ -231,10 +231,10 @@ class Evidence:
         samples = places(at)[:, None, None, :] + sides[:, :, None, :] * off[None, None, :, None]
         values = self.enclosures.values_at(samples.reshape(-1, 3)).reshape(len(at), NUM_SIDES, len(off))
         profiles = _mean_along(values.astype(np.float64), HALF_SECTIONS)
-        own = profiles[:, :, 0].mean(axis=1)
+        middle = profiles[:, :, 0].mean(axis=1)
         near = off <= REACH_MM
         peaks, far_peaks = profiles[:, :, near].max(axis=2), profiles.max(axis=2)
-        half = 0.5 * (own[:, None] + peaks)
+        half = 0.5 * (middle[:, None] + peaks)
         first = (profiles[:, :, near] >= half[:, :, None]).argmax(axis=2)
         back, on = places(at) - places(at - BEND_MM), places(at + BEND_MM) - places(at)
         lengths = np.linalg.norm(back, axis=1) * np.linalg.norm(on, axis=1)
@@ -243,11 +243,11 @@ class Evidence:
         bend[:HALF_SECTIONS] = bend[-HALF_SECTIONS:] = 0.0
         return Sections(
             at_mm=at,
-            own=own,
-            rise=np.quantile(peaks, OPEN_SIDES, axis=1) - own,
-            far_rise=np.quantile(far_peaks, OPEN_SIDES, axis=1) - own,
-            closed=np.partition(peaks, CLOSED_BUT, axis=1)[:, CLOSED_BUT] - own,
-            far_closed=np.partition(far_peaks, CLOSED_BUT, axis=1)[:, CLOSED_BUT] - own,
+            middle=middle,
+            rise=np.quantile(peaks, OPEN_SIDES, axis=1) - middle,
+            far_rise=np.quantile(far_peaks, OPEN_SIDES, axis=1) - middle,
+            closed=np.partition(peaks, CLOSED_BUT, axis=1)[:, CLOSED_BUT] - middle,
+            far_closed=np.partition(far_peaks, CLOSED_BUT, axis=1)[:, CLOSED_BUT] - middle,
             around=np.quantile(profiles[:, :, ~near].reshape(len(at), -1), AROUND, axis=1),
             radius_mm=RING_MM * np.median(first, axis=1),
             bend=bend,

@@ -85,7 +85,7 @@ class Sections:
 
     at_mm: Values
     """Distance (n,) of each section from the start of the path, mm."""
-    own: Values
+    middle: Values
     """Smoothed voxel value (n,) in the middle of each section, on the path."""
     rise: Values
     """Rise (n,) above the middle that four fifths of the sides of a section reach within 3 mm."""
@@ -155,11 +155,11 @@ def doubtful_sections(
         found[mine[first : first + num]] = True
     sure = np.logical_and.accumulate(((gain >= SURE) & (wall >= MIN_WALLS)) | ~found[mine])
     found[mine] &= ~sure
-    own = sections.own[mine]
-    crossed = np.maximum.accumulate(own) - own > scale.span(WALL_DROP_HU)
+    middle = sections.middle[mine]
+    crossed = np.maximum.accumulate(middle) - middle > scale.span(WALL_DROP_HU)
     if crossed.any():
         # Flag all sections from the top of the crossed wall on.
-        found[mine[int(np.argmax(own[: int(np.argmax(crossed)) + 1])) :]] = True
+        found[mine[int(np.argmax(middle[: int(np.argmax(crossed)) + 1])) :]] = True
     return found
 
 
@@ -168,8 +168,8 @@ def gains(sections: Sections, lung: LungBaseline, scale: AirScale, start: PathSt
     gain = BASE + _walls(sections, lung)
     mine = _beyond(sections, start)
     radius_mm = _radii(sections, lung, scale)
-    own = np.where(mine, sections.own, -np.inf)
-    drop = np.where(mine, np.maximum.accumulate(own) - sections.own, 0.0)
+    middle = np.where(mine, sections.middle, -np.inf)
+    drop = np.where(mine, np.maximum.accumulate(middle) - sections.middle, 0.0)
     gain += DROP * np.clip(drop / scale.span(DROP_HU), 0.0, MAX_DROP)
     if start is not None:
         mouth = ~mine & (sections.at_mm > start.inside_mm - MOUTH_MM)
@@ -177,9 +177,9 @@ def gains(sections: Sections, lung: LungBaseline, scale: AirScale, start: PathSt
         gain += WIDER * np.clip(radius_mm / left_mm - AS_WIDE, 0.0, MAX_WIDER)
     gain += BEND * sections.bend
     gain += UNEVEN * _spread(radius_mm, UNEVEN_OVER)
-    too_bright = (sections.own - scale.level(AIR_HU)) / scale.span(GAP_HU)
+    too_bright = (sections.middle - scale.level(AIR_HU)) / scale.span(GAP_HU)
     gain += GAP * np.clip((radius_mm - THREAD_MM) * too_bright, 0.0, MAX_GAP)
-    return np.asarray(np.where(sections.own > scale.level(NO_LUMEN_HU), NO_LUMEN, gain))
+    return np.asarray(np.where(sections.middle > scale.level(NO_LUMEN_HU), NO_LUMEN, gain))
 
 
 def turns_back(points: Points, along: Values, start: PathStart) -> bool:
@@ -198,7 +198,7 @@ def along_mm(points: Points) -> Values:
 def _walls(sections: Sections, lung: LungBaseline) -> Values:
     """Return the (n,) sum of the wall terms of each section."""
     # A wall must be brighter than the surrounding lung, not only than a dark middle.
-    over = np.minimum(sections.own - np.minimum(sections.around, lung.bright), 0.0)
+    over = np.minimum(sections.middle - np.minimum(sections.around, lung.bright), 0.0)
     gain = RISE * np.clip((sections.rise + over) / lung.rise, *RISE_LIMITS)
     gain += FAR_RISE * np.clip((sections.far_rise + over) / lung.far_rise, *FAR_LIMITS)
     gain += CLOSED * np.clip((sections.closed + over) / lung.rise, *CLOSED_LIMITS)
@@ -208,7 +208,9 @@ def _walls(sections: Sections, lung: LungBaseline) -> Values:
 
 def _radii(sections: Sections, lung: LungBaseline, scale: AirScale) -> Values:
     """Return the (n,) radius of each section; ``NEAR_MM`` if the lumen is wider."""
-    wide = (sections.rise < lung.rise) & (sections.far_closed > lung.far_rise) & (sections.own < scale.level(WIDE_HU))
+    wide = (
+        (sections.rise < lung.rise) & (sections.far_closed > lung.far_rise) & (sections.middle < scale.level(WIDE_HU))
+    )
     return np.where(wide, np.maximum(sections.radius_mm, NEAR_MM), sections.radius_mm)
 
 

@@ -171,7 +171,7 @@ class EditSteps:
         loose = loose[nodes_at(self.lumen.core, self._volume.to_lps(loose.astype(np.float64))) >= 0]
         if len(loose):
             self._change_lumen(NO_VOXELS, loose)
-        self._mend(NO_VOXELS)
+        self._repair_centrelines(NO_VOXELS)
 
     def _bridge(self, lps: Point) -> None:
         voxel = air_voxel(self.lumen, voxel_of(self._volume, lps))
@@ -366,7 +366,7 @@ class EditSteps:
             self._change_lumen(NO_VOXELS, voxels)
         else:
             self._change_lumen(voxels, NO_VOXELS)
-        lost = self._mend(voxels)
+        lost = self._repair_centrelines(voxels)
         candidates = np.concatenate([newly_reached(self.lumen.core, before), lost])
         self._find_more(candidates, "tracked" if edit.erase else "painted")
 
@@ -401,7 +401,7 @@ class EditSteps:
             radius[near[mine] - starts[number]] = new[mine]
             self.draft.change(branch.id, radius=radius)
 
-    def _mend(self, voxels: Voxels) -> Voxels:
+    def _repair_centrelines(self, voxels: Voxels) -> Voxels:
         """Move the centrelines back into a changed lumen, and remove branches that paths no longer reach.
 
         Parameters
@@ -418,7 +418,7 @@ class EditSteps:
         self._keep_forks()
         # Repeat after branches were joined: the points of the joined branch may be outside.
         for _ in range(1 + len(self._tree)):
-            if not self._mend_once(voxels, lost):
+            if not self._repair_once(voxels, lost):
                 break
             voxels = NO_VOXELS
         if not lost:
@@ -426,7 +426,7 @@ class EditSteps:
         nodes = nodes_at(self.lumen.core, np.concatenate(lost))
         return voxels_of(self.lumen.core, np.unique(nodes[nodes >= 0]).astype(np.uint32))
 
-    def _mend_once(self, voxels: Voxels, lost: list[Points]) -> bool:
+    def _repair_once(self, voxels: Voxels, lost: list[Points]) -> bool:
         """Check every branch against the lumen once.
 
         Return whether a branch was removed, which may have joined two others.

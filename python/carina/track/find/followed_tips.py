@@ -244,7 +244,7 @@ def _follow_thin_airways(
         brightest=scale.level(THIN_BRIGHTEST_HU),
         least_wall=scale.level(THIN_MIN_WALL_HU),
         least_dip=scale.span(THIN_MIN_DIP_HU),
-        kept_dip=scale.span(THIN_ACCEPTED_DIP_HU),
+        least_mean_dip=scale.span(THIN_ACCEPTED_DIP_HU),
         blur_mm=THIN_BLUR_MM,
         min_length_mm=max(THIN_MIN_MM, THIN_MIN_SLICES * slice_mm, THIN_MIN_VOXELS * voxel_mm),
         min_side_mm=max(THIN_SIDE_MM, THIN_SIDE_SLICES * slice_mm, THIN_SIDE_VOXELS * voxel_mm),

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from carina._core import cast_sections
 from carina.argument_checks import check_arguments, function, instance
 from carina.display import one_line
-from carina.display.progress import ProgressChoice, progress_function, share_function, shows_progress
+from carina.display.progress import ProgressChoice, fraction_callback, progress_function, shows_progress
 from carina.display.tables import Columns, Tabular, columns_of
 from carina.errors import CancelledError, UsageError
 from carina.track.find.result import Airways
@@ -290,11 +290,11 @@ class TreeMeasures(Tabular):
         UsageError
             If the sections do not match the centrelines of the tree.
         """
-        for branch, own in zip(tree.branches, branches, strict=True):
-            if branch.id != own.branch_id or len(branch.points) != len(own.at_mm):
+        for branch, measures in zip(tree.branches, branches, strict=True):
+            if branch.id != measures.branch_id or len(branch.points) != len(measures.at_mm):
                 raise UsageError(
                     f"expected {len(branch.points)} sections of branch {branch.id}; "
-                    f"found {len(own.at_mm)} of branch {own.branch_id}"
+                    f"found {len(measures.at_mm)} of branch {measures.branch_id}"
                 )
         keys = tuple(_key(branch, tree) for branch in tree.branches)
         return cls(branches, forks, blur_mm, noise, notes, keys, tree.branches)
@@ -313,11 +313,13 @@ class TreeMeasures(Tabular):
                     "generation": branch.generation,
                     "parent": branch.parent,
                     "kind": branch.kind,
-                    "num_sections": own.summary.num_sections,
-                    **{name: getattr(own.summary, name) for name in figures},
-                    "stenosis_percent": None if own.summary.stenosis is None else own.summary.stenosis.percent,
+                    "num_sections": measures.summary.num_sections,
+                    **{name: getattr(measures.summary, name) for name in figures},
+                    "stenosis_percent": None
+                    if measures.summary.stenosis is None
+                    else measures.summary.stenosis.percent,
                 }
-                for branch, own in zip(self._measured, self.branches, strict=True)
+                for branch, measures in zip(self._measured, self.branches, strict=True)
             ),
             {
                 "id": "int",
@@ -625,7 +627,7 @@ def _cast(
         wall_rise=scale.span(WALL_RISE_HU),
         noise=noise,
         cancel=cancel,
-        progress=share_function(progress, "measuring the airways", 0.0, 0.95),
+        progress=fraction_callback(progress, "measuring the airways", 0.0, 0.95),
     )
 
 
@@ -679,7 +681,7 @@ def _summaries(tree: AirwayTree, sections: list[dict[str, Any]]) -> tuple[Branch
     drawn = {branch.id for branch in tree.branches if branch.kind != "tracked"}
     found = []
     for branch in tree.branches:
-        own = by_id[branch.id]
+        measures = by_id[branch.id]
         parent = None if branch.parent is None else tree.branch(branch.parent)
         siblings = [] if parent is None else [child for child in parent.children if child != branch.id]
         # Drawn branches contain no air in the CT, so their neighbours are judged as if they did not exist.
@@ -690,16 +692,20 @@ def _summaries(tree: AirwayTree, sections: list[dict[str, Any]]) -> tuple[Branch
             [means[child] for child in children],
         )
         summary = summary_of(
-            own.at_mm,
-            (own.equivalent_mm, own.equivalent_error_mm),
-            (own.wall_mm, own.wall_error_mm),
-            own.is_usable,
+            measures.at_mm,
+            (measures.equivalent_mm, measures.equivalent_error_mm),
+            (measures.wall_mm, measures.wall_error_mm),
+            measures.is_usable,
             angle_deg=None if parent is None else angle_deg(parent, branch),
             stenosis=stenosis_of(
-                own.at_mm, own.equivalent_mm, own.equivalent_error_mm, own.is_usable, expected=expected
+                measures.at_mm,
+                measures.equivalent_mm,
+                measures.equivalent_error_mm,
+                measures.is_usable,
+                expected=expected,
             ),
         )
-        found.append(dataclasses.replace(own, summary=summary))
+        found.append(dataclasses.replace(measures, summary=summary))
     return tuple(found)
 
 

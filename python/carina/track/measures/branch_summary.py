@@ -248,7 +248,7 @@ def stenosis_of(
         return None
     at, diameter, error = at_mm[usable], equivalent_mm[usable], error_mm[usable]
     least = int(np.argmin(diameter))
-    reference = _own_reference(at, diameter, error, least)
+    reference = _reference_of_branch(at, diameter, error, least)
     if expected is not None and (reference is None or expected.mm > (1.0 + expected.error) * float(diameter.max())):
         scatter = DEVIATIONS_95 * float(diameter.std() / diameter.mean())
         reference = dataclasses.replace(expected, error=float(np.hypot(expected.error, scatter)))
@@ -268,25 +268,25 @@ def stenosis_of(
     return found if found.exceeds_error else None
 
 
-def _own_reference(at: Floats, diameter: Floats, error: Floats, least: int) -> ReferenceDiameter | None:
+def _reference_of_branch(at: Floats, diameter: Floats, error: Floats, least: int) -> ReferenceDiameter | None:
     healthy = diameter >= HEALTHY_SHARE * np.percentile(diameter, WIDE_PERCENTILE)
     healthy[least] = False
     place = at[least]
     before, after = healthy & (at < place), healthy & (at > place)
     sides = [float(np.ptp(at[side])) if side.any() else 0.0 for side in (before, after)]
-    own = float(np.median(error / diameter))
+    median_error = float(np.median(error / diameter))
     if before.any() and after.any() and healthy.sum() >= 4:
         slope = _slope(at[healthy], diameter[healthy]) or 0.0
         rest = diameter[healthy] - slope * at[healthy]
         middle = float(np.median(rest)) + slope * float(place)
         scatter = DEVIATIONS_95 * float((rest - np.median(rest)).std()) / max(middle, 1e-9)
-        return ReferenceDiameter(middle, float(np.hypot(own, scatter)), "branch")
+        return ReferenceDiameter(middle, float(np.hypot(median_error, scatter)), "branch")
     if max(sides) >= MIN_HEALTHY_MM:
         side = before if sides[0] >= sides[1] else after
         middle = float(np.median(diameter[side]))
         scatter = DEVIATIONS_95 * float(diameter[side].std()) / middle
         forks = 0.0 if after.any() else _missed_forks(float(place - at[before].max()), middle)
-        return ReferenceDiameter(middle, float(np.linalg.norm([own, scatter, forks])), "branch")
+        return ReferenceDiameter(middle, float(np.linalg.norm([median_error, scatter, forks])), "branch")
     return None
 
 

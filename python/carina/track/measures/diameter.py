@@ -97,13 +97,13 @@ class Passage:
 
         Missing sections count only if no section is left, because they may be missing at both ends of the trachea.
         """
-        own = self.at_mm >= min(START_MM, self.length_mm)
-        unmeasured = self.unmeasured[:0] if own.any() else self.unmeasured
+        is_beyond_start = self.at_mm >= min(START_MM, self.length_mm)
+        unmeasured = self.unmeasured[:0] if is_beyond_start.any() else self.unmeasured
         return replace(
             self,
-            at_mm=self.at_mm[own],
-            diameter_mm=self.diameter_mm[own],
-            error_mm=self.error_mm[own],
+            at_mm=self.at_mm[is_beyond_start],
+            diameter_mm=self.diameter_mm[is_beyond_start],
+            error_mm=self.error_mm[is_beyond_start],
             unmeasured=unmeasured,
         )
 
@@ -112,8 +112,13 @@ class Passage:
 
         The first measured section of a branch may be some way beyond its start.
         """
-        own = np.concatenate([[True], self.at_mm < mm - 1e-6])[: len(self.at_mm)]
-        return replace(self, at_mm=self.at_mm[own], diameter_mm=self.diameter_mm[own], error_mm=self.error_mm[own])
+        is_before = np.concatenate([[True], self.at_mm < mm - 1e-6])[: len(self.at_mm)]
+        return replace(
+            self,
+            at_mm=self.at_mm[is_before],
+            diameter_mm=self.diameter_mm[is_before],
+            error_mm=self.error_mm[is_before],
+        )
 
 
 def passage_of(
@@ -295,11 +300,11 @@ def _with_true_spread(
     usable
         Flags (n,): sections away from forks. Other medians stay.
     """
-    own = np.flatnonzero(usable)
-    rest = section_mm[own] - median_mm[own]
-    if len(own) < MIN_FOR_SCATTER or np.ptp(at_mm[own]) <= 0.0 or not rest.any():
+    rows = np.flatnonzero(usable)
+    rest = section_mm[rows] - median_mm[rows]
+    if len(rows) < MIN_FOR_SCATTER or np.ptp(at_mm[rows]) <= 0.0 or not rest.any():
         return median_mm
-    num = float(np.median(near[np.ix_(own, own)].sum(axis=1)))
+    num = float(np.median(near[np.ix_(rows, rows)].sum(axis=1)))
     if num < 2.0:
         return median_mm
     # Deviations of 0 are left out: a section that is itself the running median does not show the noise.
@@ -310,11 +315,11 @@ def _with_true_spread(
     correlation = min(max(correlation, 0.0), MAX_CORRELATION)
     num_independent = max(1.0, num * (1.0 - correlation) / (1.0 + correlation))
     noise = MEDIAN_VARIANCE * variance / num_independent
-    line = np.polynomial.Polynomial.fit(at_mm[own], median_mm[own], 1)(at_mm[own])
-    spread = float(np.mean(np.square(median_mm[own] - line)))
+    line = np.polynomial.Polynomial.fit(at_mm[rows], median_mm[rows], 1)(at_mm[rows])
+    spread = float(np.mean(np.square(median_mm[rows] - line)))
     found: Floats = median_mm.copy()
     if spread > 0.0:
-        found[own] = line + np.sqrt(max(1.0 - noise / spread, 0.0)) * (median_mm[own] - line)
+        found[rows] = line + np.sqrt(max(1.0 - noise / spread, 0.0)) * (median_mm[rows] - line)
     return found
 
 

@@ -17,7 +17,7 @@ Points = NDArray[np.float64]
 
 CHORD_DIAMETERS = 2.0
 """Length of the chords on both sides of a fork between which an angle is measured, in diameters."""
-LOOK_MM = 0.25
+STEP_MM = 0.25
 """Step in mm along two branches of a fork at which their centrelines are compared."""
 BEYOND_CARINA_RADII = 0.5
 """Distance beyond the carina, in radii, from which a section contains only the lumen of the branch that it crosses."""
@@ -162,7 +162,7 @@ def _carina(volume: Volume, lumen_zyx: NDArray[np.uint8], one: Branch, other: Br
     length = min(one.length_mm, other.length_mm)
     if length <= 0.0:
         return None
-    at: NDArray[np.float64] = np.arange(1.0, int(length / LOOK_MM) + 1.0) * LOOK_MM
+    at: NDArray[np.float64] = np.arange(1.0, int(length / STEP_MM) + 1.0) * STEP_MM
     a, b = point_at(one.points, at), point_at(other.points, at)
     share = np.linspace(0.0, 1.0, 41)
     lines = a[:, None] + share[None, :, None] * (b - a)[:, None]

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from carina._core import FieldTracker, aimed_field_path
 from carina.display import one_line
-from carina.display.progress import ProgressChoice, progress_function, share_function, shows_progress
+from carina.display.progress import ProgressChoice, fraction_callback, progress_function, shows_progress
 from carina.errors import GeometryError, NoResultError, UsageError
 from carina.track.paths.tracker import as_point, words
 from carina.track.progress import Cancel
@@ -160,7 +160,7 @@ class FieldPaths:
         CancelledError
             If ``cancel()`` returned True; another call continues from there.
         """
-        self._core.solve_all(cancel=cancel, progress=share_function(progress_function(progress), CALCULATING))
+        self._core.solve_all(cancel=cancel, progress=fraction_callback(progress_function(progress), CALCULATING))
 
     @shows_progress
     def path_to(
@@ -192,8 +192,8 @@ class FieldPaths:
             If ``cancel()`` returned True; another call continues from there.
         """
         voxel = _voxel(self._volume, target_lps, "target")
-        share = share_function(progress_function(progress), CALCULATING)
-        if not self._core.solve_to(voxel, cancel=cancel, progress=share):
+        on_progress = fraction_callback(progress_function(progress), CALCULATING)
+        if not self._core.solve_to(voxel, cancel=cancel, progress=on_progress):
             raise _no_path(target_lps)
         voxels, cost = self._core.path(voxel), self._core.cost(voxel)
         assert voxels is not None
@@ -266,7 +266,7 @@ def aimed_path(
         region_ijk=region_ijk,
         mask_zyx=mask_zyx,
         cancel=cancel,
-        progress=share_function(progress_function(progress), CALCULATING),
+        progress=fraction_callback(progress_function(progress), CALCULATING),
     )
     if found is None:
         raise _no_path(target_lps)

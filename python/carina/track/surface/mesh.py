@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carina import _core
-from carina.display.progress import ProgressChoice, progress_function, share_function, shows_progress
+from carina.display.progress import ProgressChoice, fraction_callback, progress_function, shows_progress
 from carina.errors import CancelledError
 from carina.track.find.growth import HALF_WALL_HU, STEP_RISE_HU
 from carina.track.find.result import Airways
@@ -88,7 +88,7 @@ def lumen_mesh(
         airways.lumen_zyx,
         levels=_levels(volume, airways),
         cancel=cancel,
-        progress=share_function(progress_function(progress), "building the surface"),
+        progress=fraction_callback(progress_function(progress), "building the surface"),
     )
     return Mesh(vertices, triangles)
 
