@@ -1,7 +1,6 @@
 //! Decoding of JPEG-LS streams with one grey value per pixel (ITU-T T.87 A).
 
-use crate::lossless_jpeg::data_before;
-use crate::pixels::DecodedStream;
+use crate::jpeg_stream::{DecodedStream, data_before};
 
 /// Number of errors after which the statistics of a context are halved (T.87 C.2.4.1.1).
 const RESET: i32 = 64;

@@ -7,6 +7,7 @@
 mod excess;
 mod header;
 mod jpeg_ls;
+mod jpeg_stream;
 mod lossless_jpeg;
 mod pixels;
 mod rle;
@@ -14,6 +15,7 @@ mod rle;
 pub use excess::excesses;
 pub use header::{HeaderElements, Wanted, scan_file};
 pub use jpeg_ls::decode_jpeg_ls;
+pub use jpeg_stream::DecodedStream;
 pub use lossless_jpeg::{TruncatedHeader, decode_lossless_jpeg, lossless_jpeg_problem};
-pub use pixels::{Coding, DecodedStream, SliceFormat, SliceSource, decode_slices, place_words};
+pub use pixels::{Coding, SliceFormat, SliceSource, decode_slices, place_words};
 pub use rle::decode_rle;

@@ -1,6 +1,6 @@
 //! Check and decoding of lossless JPEG streams with one grey value per pixel (ITU-T T.81 H).
 
-use crate::pixels::DecodedStream;
+use crate::jpeg_stream::{DecodedStream, data_before};
 
 const LOSSLESS: u8 = 0xc3;
 const LEFT_OVER_BITS: usize = 8;
@@ -166,14 +166,6 @@ fn read_scan(frame: &[u8], start: usize) -> Result<Option<Scan<'_>>, TruncatedHe
         }
         at = end;
     }
-}
-
-/// Return the data before the first marker whose second byte is an end; all data without such a marker.
-pub(crate) fn data_before(data: &[u8], is_end: impl Fn(u8) -> bool) -> &[u8] {
-    let marker = data
-        .windows(2)
-        .position(|two| two[0] == 0xff && is_end(two[1]));
-    &data[..marker.unwrap_or(data.len())]
 }
 
 fn split_at_restarts(data: &[u8]) -> Vec<&[u8]> {

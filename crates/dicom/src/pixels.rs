@@ -42,15 +42,6 @@ pub enum Coding {
     LosslessJpeg,
 }
 
-/// Values of a decoded stream, row by row, and the number of bits that the stream states for each.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct DecodedStream {
-    /// Decoded values.
-    pub words: Vec<u16>,
-    /// Bits of a value.
-    pub bits: u32,
-}
-
 /// Format of the slices of one call.
 #[derive(Clone, Debug)]
 pub struct SliceFormat {
