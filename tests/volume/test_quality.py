@@ -13,21 +13,25 @@ from carina.volume.quality import trusted_generation
 SPACING_MM = np.array([2.2, 2.0, 2.6])
 
 
-def body(shape_zyx=(90, 110, 130), *, lungs=True, flip=False) -> Volume:
+def body(
+    shape_zyx=(90, 110, 130), *, lungs=True, flip=False, noise_hu=20.0, lowest_hu=-2048, spacing_mm=SPACING_MM
+) -> Volume:
     """Return an elliptic body in air on a couch, with two ellipsoid lungs of 3.1 litres in total."""
-    z, y, x = np.indices(shape_zyx, dtype=np.float64)
-    z, y, x = ((a - (n - 1) / 2) * s for a, n, s in zip((z, y, x), shape_zyx, SPACING_MM[::-1], strict=True))
+    z, y, x = (
+        (a - (n - 1) / 2) * s
+        for a, n, s in zip(np.ogrid[tuple(map(slice, shape_zyx))], shape_zyx, spacing_mm[::-1], strict=True)
+    )
     hu = np.full(shape_zyx, -1000.0)
-    hu[(x / 130) ** 2 + (y / 90) ** 2 < 1] = 40
-    hu[(y > 98) & (y < 106)] = -940  # The foam of the couch has the density of emphysema.
+    hu[np.broadcast_to((x / 130) ** 2 + (y / 90) ** 2 < 1, shape_zyx)] = 40
+    hu[np.broadcast_to((y > 98) & (y < 106), shape_zyx)] = -940  # The foam of the couch has the density of emphysema.
     if lungs:
         for side in (-1, 1):
             hu[((x - side * 62) / 50) ** 2 + (y / 70) ** 2 + (z / 106) ** 2 < 1] = -850
-    hu += np.random.default_rng(3).normal(0, 20, shape_zyx)
-    matrix = np.diag([*SPACING_MM, 1.0])
+    hu += np.random.default_rng(3).normal(0, noise_hu, shape_zyx)
+    matrix = np.diag([*spacing_mm, 1.0])
     if flip:
         matrix[2, 2] *= -1
-    return Volume(hu.round().astype(np.int16), matrix)
+    return Volume(hu.round().clip(lowest_hu).astype(np.int16), matrix)
 
 
 def codes(volume: Volume) -> list[str]:
@@ -62,6 +66,18 @@ def test_cut_lungs_are_reported_by_patient_direction(flip, face):
     cut = Volume(np.ascontiguousarray(whole.hu_zyx[:55]), whole.lps_from_ijk)
     finding = next(finding for finding in quality_gate(cut).findings if finding.code == "cut")
     assert f"cut off at the {face} of" in finding.words
+
+
+@pytest.mark.parametrize(("noise_hu", "lowest_hu"), [(60.0, -1024), (120.0, -1024), (120.0, -1000), (120.0, -2048)])
+def test_air_around_a_noisy_patient_is_not_reported_as_cut_lungs(noise_hu, lowest_hu):
+    """Check air whose mean is higher than -1000 HU, because the lowest value of the file cuts off its noise."""
+    # Blocks of many voxels, whose means have little noise.
+    whole = body((140, 180, 208), noise_hu=noise_hu, lowest_hu=lowest_hu, spacing_mm=np.array([1.33, 1.33, 1.66]))
+    assert "cut" not in codes(whole)
+    assert quality_gate(whole).lung_litres == pytest.approx(3.11, rel=0.1)
+    half = Volume(np.ascontiguousarray(whole.hu_zyx[:85]), whole.lps_from_ijk)
+    (words,) = [finding.words for finding in quality_gate(half).findings if finding.code == "cut"]
+    assert "cut off at the top of" in words
 
 
 def test_lungs_are_found_in_a_crop_without_air_outside_the_body():

@@ -22,7 +22,7 @@ _SAMPLING = 0.95  # share of the largest voxel spacing below which a lumen may b
 _USUAL_NOISE_HU, _MM_PER_NOISE_HU = 25.0, 1 / 54
 _DARK_HU = -500  # half-way between lung and soft tissue
 _DENSEST_LUNG_HU = -600
-_PURE_AIR_HU = -980
+_AIR_HU, _PURE_AIR_HU = -1000.0, -980.0
 _MIN_REGION_L = 0.1
 # Both lungs of an adult contain 2 to 7 litres of air and tissue; half of one small lung is the minimum that is useful.
 _MIN_LUNG_L = 0.7
@@ -135,7 +135,7 @@ def _judge(volume: Volume) -> Quality:
     if not volume.is_hu and volume.value_range[1] - volume.value_range[0] <= 1:
         findings.append(Finding("mask", "the volume has only two values: this is probably a segmentation, not a scan"))
     lungs = coarse_lungs(volume) if volume.is_hu else None
-    noise_hu = None if lungs is None else _noise_hu(volume, lungs)
+    noise_hu = None if lungs is None else lungs.noise_hu
     generation = trusted_generation(volume.spacing_mm, noise_hu)
     findings += _spacing_findings(_canonical_spacing_mm(volume), generation)
     if lungs is None:
@@ -175,19 +175,19 @@ def _patient_findings(noise_hu: float | None, lung_hu: float | None, body_mm: fl
     return findings
 
 
-def _noise_hu(volume: Volume, lungs: CoarseLungs) -> float | None:
+def _noise_hu(volume: Volume, coarse: NDArray[np.float32], strides_zyx: tuple[int, int, int]) -> float | None:
     """Return the standard deviation of the noise: of differences between points of soft tissue that are 4 mm apart.
 
     Noise of one slice is correlated over about a millimetre, and tissue is alike over a few.
     """
-    sz, sy, sx = lungs.strides_zyx
+    sz, sy, sx = strides_zyx
     lag = max(1, round(_LAG_MM / _canonical_spacing_mm(volume)[0]))
     values = canonical_axes(volume.lps_from_ijk).view(volume.hu_zyx)
     if lag >= values.shape[2]:
         return None
-    is_tissue = (lungs.hu > _TISSUE_HU[0]) & (lungs.hu < _TISSUE_HU[1])
+    is_tissue = (coarse > _TISSUE_HU[0]) & (coarse < _TISSUE_HU[1])
     differences = []
-    for at in np.unique(np.linspace(0, len(lungs.hu) - 1, _NUM_PLANES).astype(int)):
+    for at in np.unique(np.linspace(0, len(coarse) - 1, _NUM_PLANES).astype(int)):
         mask = np.repeat(np.repeat(is_tissue[at], sy, axis=0), sx, axis=1)
         plane = values[at * sz][: mask.shape[0], : mask.shape[1]].astype(np.float32)
         both = mask[: plane.shape[0], lag : plane.shape[1]] & mask[: plane.shape[0], : plane.shape[1] - lag]
@@ -262,6 +262,8 @@ class CoarseLungs:
     """Volume of the lungs."""
     cut_faces: tuple[str, ...]
     """Faces of the grid that cut the lungs, named by the patient's directions."""
+    noise_hu: float | None
+    """Standard deviation of the noise in soft tissue; None if there are too few samples."""
 
 
 def coarse_lungs(volume: Volume) -> CoarseLungs:
@@ -274,6 +276,8 @@ def coarse_lungs(volume: Volume) -> CoarseLungs:
     strides = [max(1, int(4.0 / spacing)) for spacing in _canonical_spacing_mm(volume)]
     strides_zyx = (strides[2], strides[1], strides[0])
     coarse = _block_means(canonical_axes(volume.lps_from_ijk).view(volume.hu_zyx), strides_zyx)
+    noise_hu = _noise_hu(volume, coarse, strides_zyx)
+    pure_air_hu = _pure_air_limit_hu(volume, noise_hu)
     # Opened by one voxel, because noise and the thin layer between skin and air would connect the lungs to the outside.
     labels = numbered_parts(opened(coarse < _DARK_HU))
     voxel_l = abs(float(np.linalg.det(volume.lps_from_ijk[:3, :3]))) * 1e-6 * float(np.prod(strides))
@@ -284,7 +288,7 @@ def coarse_lungs(volume: Volume) -> CoarseLungs:
         region = labels == label
         if label == 0 or float(np.median(coarse[region])) > _DENSEST_LUNG_HU:
             continue
-        outside = float(np.mean(coarse[region] < _PURE_AIR_HU)) > 0.25 and bool(np.any(region & edges))
+        outside = float(np.mean(coarse[region] < pure_air_hu)) > 0.25 and bool(np.any(region & edges))
         if not outside:
             lung |= region
     columns = canonical_geometry(volume).lps_from_ijk[:3, :3] * strides
@@ -297,7 +301,23 @@ def coarse_lungs(volume: Volume) -> CoarseLungs:
                 outward = columns[:, axis_ijk] * (1 if end == -1 else -1)
                 axis_lps = int(np.argmax(np.abs(outward)))
                 names.append(_FACES[axis_lps, 1 if outward[axis_lps] > 0 else -1])
-    return CoarseLungs(coarse, lung, strides_zyx, float(np.count_nonzero(lung)) * voxel_l, tuple(names))
+    return CoarseLungs(coarse, lung, strides_zyx, float(np.count_nonzero(lung)) * voxel_l, tuple(names), noise_hu)
+
+
+def _pure_air_limit_hu(volume: Volume, noise_hu: float | None) -> float:
+    """Return the mean in HU below which a block of voxels is air without tissue.
+
+    The values of a scan end at a lowest number, commonly -1024 HU. Strong noise of air is cut off there, which raises
+    the mean of the air: by 23 HU at a noise of 85 HU.
+    """
+    if noise_hu is None or noise_hu <= NOISE_HU:
+        return _PURE_AIR_HU
+    lowest = float(np.min(volume.hu_zyx, initial=_AIR_HU, where=volume.hu_zyx >= _PADDING_HU))
+    # Mean of a normal distribution whose values below the lowest number are set to it.
+    ratio = (_AIR_HU - lowest) / noise_hu
+    density = math.exp(-0.5 * ratio**2) / math.sqrt(2.0 * math.pi)
+    mean_hu = lowest + noise_hu * (density + ratio * 0.5 * (1.0 + math.erf(ratio / math.sqrt(2.0))))
+    return max(_PURE_AIR_HU, mean_hu + _PURE_AIR_HU - _AIR_HU)
 
 
 def _block_means(values: NDArray[np.int16], strides_zyx: tuple[int, int, int]) -> NDArray[np.float32]:
