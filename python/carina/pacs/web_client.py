@@ -173,7 +173,7 @@ class WebClient:
         folder: RetrievalFolder,
         watch: Watch,
         *,
-        are_all: bool = True,  # noqa: ARG002: a service sends the images one by one anyway
+        are_all: bool = True,  # Unused: a service sends the images one by one.
     ) -> None:
         """Retrieve the images of a series that are not in the folder yet (WADO-RS)."""
         self._limit_bytes, self._gets_images, self._watch = folder.max_image_bytes, True, watch
@@ -226,17 +226,26 @@ def _limited_adapter(requests: Any, check: Callable[..., None]) -> Any:
             response = super().send(request, **options)
             # 299 states that the service has more results (PS3.18 8.3.4.4).
             is_shortened = response.headers.get("Warning", "").startswith("299")
-            check(0, is_shortened=is_shortened)
-            stream = response.raw.stream
+            raw = response.raw
+            stream = raw.stream
+
+            def checked(num_bytes: int) -> None:
+                try:
+                    check(num_bytes, is_shortened=is_shortened)
+                except BaseException:
+                    raw.close()  # The rest of the answer is not read, so the connection cannot be used again.
+                    raise
 
             def limited(*arguments: Any, **named: Any) -> Iterator[bytes]:
                 num_bytes = 0
                 for part in stream(*arguments, **named):
                     num_bytes += len(part)
-                    check(num_bytes, is_shortened=is_shortened)
+                    checked(num_bytes)
                     yield part
 
-            response.raw.stream = limited
+            checked(0)
+
+            raw.stream = limited
             return response
 
     return LimitedAdapter()
