@@ -156,10 +156,10 @@ class Judge:
         found: Outlook = "may reach" if way.doubts else "reaches"
         chance = way.trust
         limits = []
-        asked: list[tuple[float | None, str]] = [self._width(way), self._bend(way)]
+        criteria: list[tuple[float | None, str]] = [self._width(way), self._bend(way)]
         if leg is not None:
-            asked.append(self._depth(leg))
-        for share, words in asked:
+            criteria.append(self._depth(leg))
+        for share, words in criteria:
             answer: Outlook = "may reach" if share is None else _outlook_of(share)
             if answer != "reaches":
                 limits.append(words)
