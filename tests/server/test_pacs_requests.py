@@ -506,7 +506,8 @@ def test_second_plan_is_refused_while_a_plan_is_sent_and_answers_name_their_targ
         saved(window)
         window.send(wire.SendPlanToPacs("hospital", "target-1", ("seg",)))
         assert begun.wait(WAIT_S)
-        assert [job.title for job in live.session.jobs.running] == [SENDING]
+        # The job that has sent the connections may not have ended yet.
+        assert SENDING in [job.title for job in live.session.jobs.running]
         window.send(wire.SendPlanToPacs("hospital", "target-2", ("seg",)))
         refused = problem(window)
         assert (refused.task, refused.code, refused.target_id) == ("send", "pacs.busy", "target-2")
