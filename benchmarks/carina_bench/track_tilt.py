@@ -4,6 +4,9 @@ A phantom is scanned with a gantry that is tilted about the patient's left-right
 moves along the patient. Each scan is written as a DICOM series, opened (Carina corrects the tilt) and searched. The
 straight CT is scanned in the same way, without tilt. TD and BD of all scans are computed on the same true airways:
 those that every scan covers.
+
+Thick slices at another angle show other airways, whatever the correction does. The case ``aligned`` scans the planes of
+the tilted slices on a rectangular grid, as a correction without any interpolation would give them.
 """
 
 from __future__ import annotations
@@ -58,11 +61,23 @@ class Scanner:
     """Thickness of the slices, and table feed from slice to slice."""
     noise_hu: float = NOISE_HU
     """Standard deviation of the white noise."""
+    is_aligned: bool = False
+    """Whether the rows of all slices lie on one rectangular grid, as in a corrected series."""
+
+    @property
+    def half_mm(self) -> float:
+        """Half of the width of a slice along its columns."""
+        return ANTERIOR_MM / float(np.cos(np.radians(self.tilt_deg)))
+
+    @property
+    def shifts_mm(self) -> NDArray[np.float64]:
+        """Shift (slices,) of each slice along its columns against the rectangular grid."""
+        return self.heights_mm * np.sin(np.radians(self.tilt_deg))
 
     @property
     def along_mm(self) -> NDArray[np.float64]:
-        """Position (rows,) of each row in the slice, from the axis of the tilt."""
-        half_mm = ANTERIOR_MM / np.cos(np.radians(self.tilt_deg))
+        """Position (rows,) of each row in the slice at the carina, from the axis of the tilt."""
+        half_mm = self.half_mm + (float(np.abs(self.shifts_mm).max()) if self.is_aligned else 0.0)
         return np.arange(-half_mm, half_mm, self.pixel_mm)
 
     @property
@@ -71,12 +86,16 @@ class Scanner:
         return np.arange(-CAUDAL_MM, CRANIAL_MM, self.slice_mm)
 
     def lps_from_ijk(self, phantom: Volume) -> NDArray[np.float64]:
-        """Return the transform (4, 4) from column, row and slice to LPS mm, which is sheared by the tilt."""
+        """Return the transform (4, 4) from column, row and slice to LPS mm, which is sheared unless it is aligned."""
         sine, cosine = np.sin(np.radians(self.tilt_deg)), np.cos(np.radians(self.tilt_deg))
+        column = np.array([0.0, cosine, sine])
+        table = np.array([0.0, 0.0, 1.0])
+        if self.is_aligned:
+            table -= column * sine  # the slices are as far apart, but not displaced within their planes
         matrix = phantom.lps_from_ijk.copy()
-        matrix[:3, 1] = np.array([0.0, cosine, sine]) * self.pixel_mm
-        matrix[:3, 2] = (0.0, 0.0, self.slice_mm)
-        matrix[1:3, 3] = self.along_mm[0] * cosine, self.heights_mm[0] + self.along_mm[0] * sine
+        matrix[:3, 1] = column * self.pixel_mm
+        matrix[:3, 2] = table * self.slice_mm
+        matrix[1:3, 3] = (table * self.heights_mm[0] + column * self.along_mm[0])[1:]
         return matrix
 
     def scan(self, phantom: Volume, *, seed: int) -> NDArray[np.int16]:
@@ -84,7 +103,7 @@ class Scanner:
 
         A slice is the mean of planes within its thickness. The values of a plane are interpolated (Keys, a = -0.5)
         between voxels, which should be about half as large as the pixels. Below and above the phantom its outer slices
-        continue.
+        continue. Aligned slices have air where tilted ones end.
 
         Parameters
         ----------
@@ -99,16 +118,18 @@ class Scanner:
         along_mm = self.along_mm
         rng = np.random.default_rng((seed, round(100 * self.tilt_deg) % 36_000))  # a seed is not negative
         slices = []
-        for height_mm in self.heights_mm:
+        for height_mm, shift_mm in zip(self.heights_mm, self.shifts_mm, strict=True):
+            rows_mm = along_mm - shift_mm if self.is_aligned else along_mm
             values = np.float32(self.noise_hu) * rng.standard_normal((len(along_mm), nx), dtype=np.float32)
             for layer in range(NUM_LAYERS):
                 off_mm = ((layer + 0.5) / NUM_LAYERS - 0.5) * self.slice_mm
-                y_mm, z_mm = along_mm * cosine - off_mm * sine, height_mm + along_mm * sine + off_mm * cosine
+                y_mm, z_mm = rows_mm * cosine - off_mm * sine, height_mm + rows_mm * sine + off_mm * cosine
                 at_y, weight_y = _taps((y_mm - matrix[1, 3]) / matrix[1, 1], ny)
                 at_z, weight_z = _taps((z_mm - matrix[2, 3]) / matrix[2, 2], nz)
                 for z, y in np.ndindex(4, 4):
                     weight = (weight_z[:, z] * weight_y[:, y] / NUM_LAYERS).astype(np.float32)
                     values += weight[:, None] * voxels[at_z[:, z] * ny + at_y[:, y]]
+            values[np.abs(rows_mm) > self.half_mm] = -1024.0
             slices.append(np.clip(np.rint(values), -1024, 3071).astype(np.int16))
         return np.stack(slices)
 
@@ -167,14 +188,17 @@ def run(quick: bool, say: Say, cases: Sequence[str] = ()) -> list[Row]:
     say
         Function that receives a line about each CT.
     cases
-        Phantoms by ``phantom-SEED``; ``negative`` for negative tilts; ``3mm`` for thick slices.
+        Phantoms by ``phantom-SEED``; ``negative`` for negative tilts; ``3mm`` for thick slices; ``aligned`` for the
+        planes of the tilted slices on a rectangular grid.
     """
     seeds = tuple(int(case.removeprefix("phantom-")) for case in cases if case.startswith("phantom-"))
     slice_mm = THICK_MM if "3mm" in cases else SLICE_MM
     sign = -1.0 if "negative" in cases else 1.0
     rows: list[Row] = []
     for seed in seeds or (SEEDS[:1] if quick else SEEDS):
-        scanners = [Scanner(sign * tilt_deg + 0.0, slice_mm=slice_mm) for tilt_deg in TILTS_DEG]
+        scanners = [
+            Scanner(sign * tilt_deg + 0.0, slice_mm=slice_mm, is_aligned="aligned" in cases) for tilt_deg in TILTS_DEG
+        ]
         rows += rows_of(seed, scanners, say, step=3 if quick else 1)
     return rows
 
@@ -199,7 +223,8 @@ def rows_of(seed: int, scanners: Sequence[Scanner], say: Say, *, step: int = 1) 
     straight: tuple[float, float] | None = None
     for scanner in scanners[::step]:
         thick = f", {scanner.slice_mm:g} mm slices" if scanner.slice_mm != SLICE_MM else ""
-        case = f"phantom {seed}, {scanner.tilt_deg:g} degrees{thick}"
+        aligned = ", aligned" if scanner.is_aligned else ""
+        case = f"phantom {seed}, {scanner.tilt_deg:g} degrees{thick}{aligned}"
         volume = opened(scanner.scan(phantom.volume, seed=seed), scanner.lps_from_ijk(phantom.volume))
         try:
             airways = find_airways(volume, progress=False)

@@ -34,11 +34,12 @@ def volume(spacing_mm, shape_zyx=(20, 24, 28)):
         pytest.param((0.7, 0.7, 3.0), 3, id="3 mm"),
         pytest.param((0.7, 0.7, 5.0), 5, id="5 mm"),
         pytest.param((0.7, 3.0, 0.7), 3, id="slices along another axis"),
-        pytest.param((1.37, 1.37, 3.0), 1, id="wide voxels"),
+        pytest.param((1.37, 1.37, 3.0), 3, id="wide voxels"),
+        pytest.param((1.0, 1.0000000000000002, 1.5), 2, id="rounding error at the limit"),
         pytest.param((3.0, 3.0, 3.0), 1, id="coarse voxels of one size"),
     ],
 )
-def test_only_thick_slices_of_a_fine_ct_are_divided(spacing_mm, parts):
+def test_only_slices_that_are_much_thicker_than_the_voxels_are_wide_are_divided(spacing_mm, parts):
     grid = PathGrid.of(volume(spacing_mm))
     assert grid.parts == parts
     assert grid.is_divided is (parts > 1)

@@ -19,8 +19,6 @@ PART_MM = 1.0
 """Thickness in mm of the parts into which slices are divided; a slice up to a quarter thicker is not divided."""
 THICK = 1.5
 """Ratio of a slice's thickness to the voxel width from which a slice counts as thick."""
-WIDEST_MM = 1.0
-"""Maximum voxel width in mm at which thick slices are divided."""
 MIN_SLICES = 4
 MAX_PARTS = 16
 MIN_PART_MM = 0.5
@@ -74,9 +72,10 @@ class PathGrid:
     @classmethod
     def of(cls, ct: Volume) -> PathGrid:
         """Return the grid for a search of a CT: a divided one if the slices are thick, otherwise that of the CT."""
-        _, width_mm, thick_mm = sorted(ct.spacing_mm)
+        # Spacings contain rounding errors of headers and matrices, which must not decide at the limit.
+        _, width_mm, thick_mm = sorted(round(mm, 3) for mm in ct.spacing_mm)
         num = ct.shape_zyx[2 - int(np.argmax(ct.spacing_mm))]
-        if width_mm > WIDEST_MM or thick_mm < THICK * width_mm or num < MIN_SLICES:
+        if thick_mm < THICK * width_mm or num < MIN_SLICES:
             return cls(ct)
         parts = int(np.ceil(thick_mm / PART_MM - 0.26))
         return cls(ct, min(max(parts, 1), MAX_PARTS))
