@@ -72,7 +72,7 @@ class Scanner:
     @property
     def shifts_mm(self) -> NDArray[np.float64]:
         """Shift (slices,) of each slice along its columns against the rectangular grid."""
-        return self.heights_mm * np.sin(np.radians(self.tilt_deg))
+        return self.heights_mm * float(np.sin(np.radians(self.tilt_deg)))
 
     @property
     def along_mm(self) -> NDArray[np.float64]:
