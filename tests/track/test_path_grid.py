@@ -29,8 +29,12 @@ def volume(spacing_mm, shape_zyx=(20, 24, 28)):
     ("spacing_mm", "parts"),
     [
         pytest.param((0.7, 0.7, 0.7), 1, id="voxels of one size"),
-        pytest.param((0.7, 0.7, 1.25), 1, id="a quarter thicker than a part"),
+        pytest.param((0.55, 0.55, 0.9), 1, id="0.9 mm"),
+        pytest.param((0.6, 0.6, 0.95), 2, id="0.95 mm"),
+        pytest.param((0.7, 0.7, 1.0), 1, id="1 mm, hardly thicker than the voxels are wide"),
+        pytest.param((0.7, 0.7, 1.25), 2, id="1.25 mm"),
         pytest.param((0.7, 0.7, 1.5), 2, id="1.5 mm"),
+        pytest.param((0.7, 0.7, 2.26), 2, id="a quarter thicker than two parts"),
         pytest.param((0.7, 0.7, 3.0), 3, id="3 mm"),
         pytest.param((0.7, 0.7, 5.0), 5, id="5 mm"),
         pytest.param((0.7, 3.0, 0.7), 3, id="slices along another axis"),

@@ -16,7 +16,7 @@ from carina.errors import NoResultError
 from carina.export import read_tree, write_tree
 from carina.phantom import generate_phantom
 from carina.track import CutBranch, RenameBranch, edit_airways, fold_airways, track_paths
-from carina.track.find.airways import doubt_of_totals
+from carina.track.find.airways import doubt_of_totals, search_grid
 from carina.track.find.kernel_sharpness import edge_undershoot_hu
 from carina.track.intensity_levels import air_scale
 from carina.track.tree.airway_tree import Branch
@@ -71,6 +71,14 @@ def test_sharpness_of_a_kernel_is_measured_from_the_dark_rim_beside_edges(patien
     depths = [edge_undershoot_hu(one, air_scale(one)) for one in (volume, sharp[0])]
     assert depths[0] < 5.0
     assert depths[1] > 40.0
+
+
+@pytest.mark.parametrize(("slice_mm", "kernel", "parts"), [(1.0, "soft", 2), (1.0, "sharp", 1), (1.25, "sharp", 2)])
+def test_only_thin_slices_of_a_sharp_kernel_are_not_divided(patient, sharp, slice_mm, kernel, parts):
+    volume = patient[0] if kernel == "soft" else sharp[0]
+    matrix = volume.lps_from_ijk.copy()
+    matrix[:3, 2] *= slice_mm / np.linalg.norm(matrix[:3, 2])
+    assert search_grid(dataclasses.replace(volume, lps_from_ijk=matrix)).parts == parts
 
 
 def test_sharpness_of_a_kernel_is_unknown_with_long_voxels_or_few_edges(patient):

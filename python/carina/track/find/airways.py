@@ -31,6 +31,7 @@ from carina.track.find.followed_tips import NOTHING_BEYOND, SOFT_KERNEL, STOPPED
 from carina.track.find.given_start import GivenStart
 from carina.track.find.growth import doubts_of_given, given_lumen, grow
 from carina.track.find.interpolated_slices import with_interpolated_note
+from carina.track.find.kernel_sharpness import edge_undershoot_hu
 from carina.track.find.mask_doubts import unnamed_where_doubted, with_mask_doubts
 from carina.track.find.mucus_plugs import find_filled
 from carina.track.find.result import Airways
@@ -38,7 +39,7 @@ from carina.track.find.root_checks import refuse_a_root_below_the_carina, refuse
 from carina.track.find.top_of_trachea import TopOfTrachea, notes_of
 from carina.track.find.trachea_search import trachea_in
 from carina.track.find.twig_removal import without_twigs
-from carina.track.intensity_levels import AirScale
+from carina.track.intensity_levels import AirScale, air_scale
 from carina.track.names.naming import name_tree
 from carina.track.paths.path_grid import PathGrid
 from carina.track.paths.rebuilt_tracker import CoreRecipe
@@ -52,7 +53,7 @@ from carina.volume.model import Note, Volume
 from carina.volume.point_check import check_in_volume
 from carina.volume.sparse_mask import sparse_mask
 
-__all__ = ["Airways", "doubt_of_totals", "find_airways"]
+__all__ = ["Airways", "doubt_of_totals", "find_airways", "search_grid"]
 
 # Upper limits of the length in mm, the number of branches and the generations of a tree; CTs show 1 to 4 m of airways
 # in 100 to 600 branches.
@@ -63,6 +64,12 @@ MAX_BRANCHES = 2_500
 MAX_GENERATION = 40
 # Minimum total length in mm of the airways beyond a trachea that divides: main bronchi and lobar bronchi are longer.
 MIN_BEYOND_MM = 150.0
+# Thickness in mm of slices below which they are not divided if the kernel leaves rims deeper than the second value (HU).
+MIN_DIVIDED_SHARP_MM = 1.2
+MAX_DIVIDED_RIMS_HU = 15.0
+# Thickness in mm of slices below which they are not divided if the noise in their parts exceeds the second value (HU).
+MIN_DIVIDED_NOISY_MM = 1.26
+MAX_DIVIDED_NOISE_HU = 75.0
 
 
 def doubt_of_totals(branches: tuple[Branch, ...], *, splits: bool) -> Note | None:
@@ -191,7 +198,7 @@ def find_airways(
     given = None if lumen_zyx is None else given_lumen(volume, lumen_zyx)
     order = CanonicalOrder.of(volume)
     given = None if given is None else order.in_canonical_order(given)
-    grid = PathGrid.of(order.volume)
+    grid = PathGrid.of(order.volume) if given is not None else search_grid(order.volume)
     given = None if given is None else grid.mask_in_parts(given)
     try:
         found = _find_in_grid(grid, root, lumen_threshold, given, stage)
@@ -202,6 +209,24 @@ def find_airways(
         found = _find_in_grid(PathGrid(order.volume), root, lumen_threshold, given, stage)
     airways = order.on_stored_grid(found)
     return dataclasses.replace(airways, notes=(*notes, *airways.notes))
+
+
+def search_grid(volume: Volume) -> PathGrid:
+    """Return the grid in which the airways of a CT are searched.
+
+    Thick slices are divided, but not the thin ones of a sharp kernel: the dark rims of such a kernel are not blurred in
+    thin slices, and look like airways in the interpolated parts.
+
+    Parameters
+    ----------
+    volume
+        The CT, in canonical order.
+    """
+    grid = PathGrid.of(volume)
+    if not grid.is_divided or max(volume.spacing_mm) >= MIN_DIVIDED_SHARP_MM:
+        return grid
+    rims_hu = edge_undershoot_hu(volume, air_scale(volume))
+    return grid if rims_hu is None or rims_hu <= MAX_DIVIDED_RIMS_HU else PathGrid(volume)
 
 
 def _find_in_grid(
@@ -260,7 +285,10 @@ def _find_in_grid(
     else:
         disturbed = find_disturbed(grid) if known is None else dataclasses.replace(known, grid=grid)
         grown = grow(disturbed, root, lumen_threshold, stage)
-        if grown.has_leaked and grid.is_divided:
+        is_noisy = max(grid.ct.spacing_mm) < MIN_DIVIDED_NOISY_MM and grown.noise > air_scale(volume).span(
+            MAX_DIVIDED_NOISE_HU
+        )
+        if (grown.has_leaked or is_noisy) and grid.is_divided:
             # Interpolation turns noise into rows of dark voxels and opens walls that are intact in the original slices,
             # so these are searched.
             return _find_in_grid(PathGrid(grid.ct), root, lumen_threshold, None, stage, known=disturbed)

@@ -16,12 +16,14 @@ from carina.volume.model import Volume
 from carina.volume.sparse_mask import empty_mask
 
 PART_MM = 1.0
-"""Thickness in mm of the parts into which slices are divided; a slice up to a quarter thicker is not divided."""
+"""Thickness in mm of the parts into which slices are divided; parts may be up to a quarter thicker."""
+THIN_MM = 0.95
+"""Minimum thickness in mm of slices that are divided; they are divided into at least two parts."""
 THICK = 1.5
 """Ratio of a slice's thickness to the voxel width from which a slice counts as thick."""
 MIN_SLICES = 4
 MAX_PARTS = 16
-MIN_PART_MM = 0.5
+MIN_PART_MM = 0.45
 """Minimum thickness in mm of a part of a slice; a case file with thinner parts is damaged."""
 
 
@@ -75,10 +77,9 @@ class PathGrid:
         # Spacings contain rounding errors of headers and matrices, which must not decide at the limit.
         _, width_mm, thick_mm = sorted(round(mm, 3) for mm in ct.spacing_mm)
         num = ct.shape_zyx[2 - int(np.argmax(ct.spacing_mm))]
-        if thick_mm < THICK * width_mm or num < MIN_SLICES:
+        if thick_mm < max(THICK * width_mm, THIN_MM) or num < MIN_SLICES:
             return cls(ct)
-        parts = int(np.ceil(thick_mm / PART_MM - 0.26))
-        return cls(ct, min(max(parts, 1), MAX_PARTS))
+        return cls(ct, min(max(int(np.ceil(thick_mm / PART_MM - 0.26)), 2), MAX_PARTS))
 
     @classmethod
     def parts_of(cls, ct: Volume, shape_zyx: tuple[int, int, int]) -> int | None:
