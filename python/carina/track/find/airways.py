@@ -64,10 +64,10 @@ MAX_BRANCHES = 2_500
 MAX_GENERATION = 40
 # Minimum total length in mm of the airways beyond a trachea that divides: main bronchi and lobar bronchi are longer.
 MIN_BEYOND_MM = 150.0
-# Thickness in mm of slices below which they are not divided if the kernel leaves rims deeper than the second value (HU).
+# Slices thinner than the first value (mm) are not divided if the rims of the kernel are deeper than the second (HU).
 MIN_DIVIDED_SHARP_MM = 1.2
 MAX_DIVIDED_RIMS_HU = 15.0
-# Thickness in mm of slices below which they are not divided if the noise in their parts exceeds the second value (HU).
+# Slices thinner than the first value (mm) are not divided if the noise in their parts exceeds the second (HU).
 MIN_DIVIDED_NOISY_MM = 1.26
 MAX_DIVIDED_NOISE_HU = 75.0
 
