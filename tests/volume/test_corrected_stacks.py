@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -33,8 +34,13 @@ def tubes(x: np.ndarray, y: np.ndarray, z: np.ndarray) -> np.ndarray:
     return -1000.0 + 1040.0 * share
 
 
-def tilted_series(folder: Path, along: tuple[float, float]) -> Path:
-    """Write exact samples of ``tubes`` in slices that lean along rows and columns by two tangents."""
+def tilted_series(
+    folder: Path, along: tuple[float, float], change: Callable[[Dataset], None] = lambda _dataset: None
+) -> Path:
+    """Write exact samples of ``tubes`` in slices that lean along rows and columns by two tangents.
+
+    ``change`` changes each data set before it is written.
+    """
     j, i = np.mgrid[:64, :64].astype(np.float64)
     hu = np.empty((NUM_SLICES, 64, 64), dtype=np.int16)
     for k in range(NUM_SLICES):
@@ -45,6 +51,7 @@ def tilted_series(folder: Path, along: tuple[float, float]) -> Path:
     def lean(dataset: Dataset, index: int) -> None:
         shift = [-22.0 + along[0] * index * GAP_MM, -28.0 + along[1] * index * GAP_MM]
         dataset.ImagePositionPatient = [round(shift[0], 6), round(shift[1], 6), index * GAP_MM]
+        change(dataset)
 
     return series(folder, lean, hu=hu)
 
@@ -96,6 +103,32 @@ def test_tilt_is_named_by_a_badge_and_in_the_inspection(tmp_path, sign):
     assert [note.code for note in found.notes] == ["import.tilt-corrected"]
     assert found.shape_zyx == volume.shape_zyx
     np.testing.assert_array_equal(found.lps_from_ijk, volume.lps_from_ijk)
+
+
+@pytest.mark.parametrize(
+    ("along", "edge"),
+    [
+        pytest.param((0.0, 0.2), "anterior", id="posterior edge first"),
+        pytest.param((0.0, -0.2), "posterior", id="anterior edge first"),
+        pytest.param((0.2, 0.05), "right", id="left edge first"),
+        pytest.param((-0.2, 0.05), "left", id="right edge first"),
+        pytest.param((0.2, 0.2), None, id="corner first"),
+    ],
+)
+@pytest.mark.parametrize("is_flipped", [False, True])
+def test_note_of_a_tilt_names_the_edge_nearer_to_the_feet(tmp_path, along, edge, is_flipped):
+    # The same slices with rows from bottom to top have a normal towards the feet.
+    def flip(dataset: Dataset) -> None:
+        if is_flipped:
+            x, y, z = (float(mm) for mm in dataset.ImagePositionPatient)
+            dataset.ImagePositionPatient = [x, round(y + 63 * SPACING_MM[1], 6), z]
+            dataset.ImageOrientationPatient = [1, 0, 0, 0, -1, 0]
+            dataset.PixelData = dataset.pixel_array[::-1].tobytes()
+
+    words = badges_of(open_volume(tilted_series(tmp_path / "scan", along, flip)))[0].words
+    assert ("edge of the slices" in words) is (edge is not None)
+    if edge is not None:
+        assert f"(the {edge} edge of the slices is nearer to the feet)" in words
 
 
 @pytest.mark.parametrize(("tilt_deg", "good"), [(34.9, True), (35.1, False)])

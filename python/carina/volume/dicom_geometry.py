@@ -36,6 +36,8 @@ from carina.volume.tilt_correction import MAX_TILT_DEG, TiltShifts
 from carina.volume.uneven_slices import UnevenSlices, even_part
 
 MAX_CORNER_SHIFT_MM = 0.1
+CLEAR_DIRECTION = math.cos(math.radians(40.0))
+"""Minimum component along an axis of the patient of a direction that is named after this axis."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -98,8 +100,9 @@ class SliceStack:
         notes = []
         if self.tilt is not None:
             words = (
-                f"the gantry was tilted by {self.tilt.tilt_deg:.1f} degrees; the slices were moved within their planes "
-                "and interpolated to a rectangular grid, so the voxels are not the pixels of the scanner"
+                f"the gantry was tilted by {self.tilt.tilt_deg:.1f} degrees{self.tilt.edge}; the slices were moved "
+                "within their planes and interpolated to a rectangular grid, so the voxels are not the pixels of the "
+                "scanner"
             )
             notes.append(Note("import.tilt-corrected", words, badge=True))
         if self.uneven is not None:
@@ -107,6 +110,26 @@ class SliceStack:
         elif self.missing:
             notes.append(interpolated_note(self.missing, self.shape_zyx[0]))
         return tuple(notes)
+
+
+def _tilted_edge(step: NDArray[np.float64], lean: NDArray[np.float64]) -> str:
+    """Return the text that names the edge of tilted slices which is nearer to the feet; empty if it is not clear.
+
+    Parameters
+    ----------
+    step
+        Movement of the table from slice to slice, LPS in mm.
+    lean
+        Part of this movement in the plane of the slices, LPS in mm.
+    """
+    axis = int(np.argmax(np.abs(lean)))
+    is_along_body = abs(step[2]) >= CLEAR_DIRECTION * float(np.linalg.norm(step))
+    if not is_along_body or axis == 2 or abs(lean[axis]) < CLEAR_DIRECTION * float(np.linalg.norm(lean)):
+        return ""
+    # The table moves towards the edge in the direction of the lean, so the opposite edge lies behind it.
+    is_low = bool(lean[axis] * step[2] < 0.0)
+    edge = {0: ("right", "left"), 1: ("anterior", "posterior")}[axis][is_low]
+    return f" (the {edge} edge of the slices is nearer to the feet)"
 
 
 def _refuse(what: str, problem: str, way_out: str, code: str) -> VolumeImportError:
@@ -302,7 +325,7 @@ def grid_from_slices(slices: Sequence[SliceHeader], *, what: str, fills_gaps: bo
     shape_yx, tilt = (first.rows, first.columns), None
     if is_tilted:
         offsets_mm = (positions - positions[0]) @ np.stack([row, column], axis=1)
-        tilt = TiltShifts.of(tilt_deg, offsets_mm, first.spacing_mm, shape_yx)
+        tilt = TiltShifts.of(tilt_deg, offsets_mm, first.spacing_mm, shape_yx, edge=_tilted_edge(step, lean))
         shape_yx = tilt.shape_yx
         lps_from_ijk[:3, 2] = normal * height / levels[-1]
         lps_from_ijk[:3, 3] += lps_from_ijk[:3, :2] @ np.array(tilt.first_yx[::-1], dtype=np.float64)

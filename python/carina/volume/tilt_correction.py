@@ -34,6 +34,8 @@ class TiltShifts:
     """Rows and columns of the corrected slices."""
     first_yx: tuple[int, int]
     """Row and column of the corrected grid's first voxel, counted from the first pixel of the first slice."""
+    edge: str = ""
+    """Text in brackets that names the edge of the slices nearer to the feet; empty if it is not clear."""
 
     @classmethod
     def of(
@@ -42,6 +44,7 @@ class TiltShifts:
         offsets_mm: NDArray[np.float64],
         spacing_mm: tuple[float, float],
         shape_yx: tuple[int, int],
+        edge: str = "",
     ) -> TiltShifts:
         """Return the shifts of slices, and a size that contains all of them.
 
@@ -55,6 +58,8 @@ class TiltShifts:
             Distance of columns and of rows.
         shape_yx
             Rows and columns of a slice.
+        edge
+            Text that names the edge of the slices nearer to the feet.
         """
         shifts = offsets_mm / np.array(spacing_mm)
         # Displacements below a hundredth of a pixel are rounding errors of the header, not a second tilt.
@@ -68,6 +73,7 @@ class TiltShifts:
             own[:, 1],
             (shape_yx[0] + int(size[1]), shape_yx[1] + int(size[0])),
             (int(low[1]), int(low[0])),
+            edge,
         )
 
     def correct(self, values: NDArray[np.int16], index: int) -> NDArray[np.int16]:
