@@ -66,8 +66,10 @@ def stl_triangles(path):
     data = path.read_bytes()
     (count,) = struct.unpack_from("<I", data, 80)
     record = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("spare", "<u2")])
-    corners = np.frombuffer(data, record, count, 84)["corners"].reshape(-1, 3)
-    _, number = np.unique(corners, axis=0, return_inverse=True)
+    # Adding 0 makes -0 equal to 0. Two sorts of integers are ten times as fast as np.unique along an axis.
+    x, y, z = (np.frombuffer(data, record, count, 84)["corners"].reshape(-1, 3) + np.float32(0)).view(np.uint32).T
+    _, number = np.unique(x.astype(np.uint64) << np.uint64(32) | y, return_inverse=True)
+    _, number = np.unique(number.astype(np.uint64) << np.uint64(32) | z, return_inverse=True)
     return number.reshape(-1, 3)
 
 
@@ -79,7 +81,10 @@ def test_stl_is_watertight_with_outward_normals(tmp_path, request, name):
     path = write_mesh(tmp_path / "phantom.stl", found.mesh, contents="printable airway wall")
     triangles = stl_triangles(path)
     assert_watertight(triangles)
-    assert len({tuple(sorted(one)) for one in triangles.tolist()}) == len(triangles)
+    a, b, c = np.sort(triangles, axis=1).astype(np.int64).T
+    num = int(triangles.max()) + 1
+    assert num < 2**21  # three vertex numbers in one integer
+    assert len(np.unique((a * num + b) * num + c)) == len(triangles)
     assert path.read_bytes()[:80].startswith(b"Carina printable airway wall")
 
 

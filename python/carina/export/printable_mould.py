@@ -26,11 +26,13 @@ from carina.export.printable_phantom import (
     WALL_MM,
     EndCut,
     PrintedLumen,
+    boxes_near,
+    boxes_of,
     check_size,
     near_branches,
     with_dots,
 )
-from carina.export.sampled_solid import solid_mesh
+from carina.export.sampled_solid import norms, solid_mesh
 from carina.track import Airways, AirwayTree, Branch
 from carina.track.surface.mesh import Mesh
 from carina.volume import Volume
@@ -279,7 +281,7 @@ class _Rod:
             side /= np.linalg.norm(side)
             across = np.maximum(np.abs(rest @ side), np.abs(rest @ np.cross(self.way_lps, side)))
         else:
-            across = np.linalg.norm(rest, axis=1)
+            across = norms(rest)
         ends = np.minimum(along, self.length_mm - along)
         found: Floats = np.minimum(ends, self.radius_mm - across) + grown_mm
         return found
@@ -401,15 +403,22 @@ class _Shapes:
         i, k = np.floor((np.array([x, z]) - self.parting.columns.first_xz) / CELL_MM).astype(int)
         return int(i), int(k)
 
-    def rods_mm(self, points: Points, grown_mm: float) -> Floats:
-        """Return how deep points (n, 3) are inside the handle and the supports, grown on all sides, mm."""
-        found = np.full(len(points), -FAR_MM)
+    def rods_mm(self, groups: Points, grown_mm: float) -> Floats:
+        """Return how deep points (n, m, 3) are inside the handle and the supports, grown on all sides, (n * m,) mm."""
+        found = np.full(groups.shape[:2], -FAR_MM)
+        boxes = boxes_of(groups)
         for rod in self.rods:
             middle = rod.line_lps.mean(axis=0)
-            near = np.linalg.norm(points - middle, axis=1) < rod.reach_mm + 4.0
+            numbers = boxes_near(boxes, middle[None], rod.reach_mm + 4.0)
+            if not len(numbers):
+                continue
+            points = groups[numbers].reshape(-1, 3)
+            near = norms(points - middle) < rod.reach_mm + 4.0
             if near.any():
-                found[near] = np.maximum(found[near], rod.inside_mm(points[near], grown_mm))
-        return found
+                deep = np.full(len(points), -FAR_MM)
+                deep[near] = rod.inside_mm(points[near], grown_mm)
+                found[numbers] = np.maximum(found[numbers], deep.reshape(len(numbers), -1))
+        return found.reshape(-1)
 
     def channels_mm(self, points: Points) -> Floats:
         """Return how deep points (n, 3) are inside the two channels beside the handle, mm."""
@@ -421,7 +430,7 @@ class _Shapes:
         for sign in (-1.0, 1.0):
             offset = points - (self.cut.middle_lps + sign * away * side)
             along = offset @ handle.way_lps
-            across = np.linalg.norm(offset - along[:, None] * handle.way_lps, axis=1)
+            across = norms(offset - along[:, None] * handle.way_lps)
             found = np.maximum(found, np.minimum(along + 1.0, CHANNEL_MM - across))
         return found
 
@@ -441,13 +450,13 @@ class _Part:
         # Beyond the stored distances a point is far, so that blocks there need no samples.
         away = np.where(away < -2.45, -FAR_MM, away)
         if self.name == "core":
-            core: Floats = np.maximum(away, shapes.rods_mm(points, 0.0))
+            core: Floats = np.maximum(away, shapes.rods_mm(groups, 0.0))
             return core.reshape(groups.shape[:2])
         cast = (away + shapes.wall_mm).reshape(groups.shape[:2])
         with_dots(cast, away.reshape(groups.shape[:2]), groups, shapes.dots_lps)
         hollow = np.minimum(cast.reshape(-1), -shapes.cut.inside_mm(points))
         hollow = np.maximum(hollow, away + CLEARANCE_MM)
-        hollow = np.maximum(hollow, np.maximum(shapes.rods_mm(points, CLEARANCE_MM), shapes.channels_mm(points)))
+        hollow = np.maximum(hollow, np.maximum(shapes.rods_mm(groups, CLEARANCE_MM), shapes.channels_mm(points)))
         low, high = shapes.box
         block = np.minimum(points - low, high - points).min(axis=1)
         before = shapes.parting.before_mm(points)

@@ -20,7 +20,7 @@ from carina.display import one_line
 from carina.display.progress import ProgressChoice, progress_function, shows_progress
 from carina.errors import UsageError
 from carina.export.embossed_names import DOT_MM, name_dots
-from carina.export.sampled_solid import solid_mesh
+from carina.export.sampled_solid import norms, solid_mesh
 from carina.scopes import WallField
 from carina.track import Airways, AirwayTree, Branch, wall_field
 from carina.track.surface.mesh import Mesh
@@ -168,7 +168,7 @@ class PrintedLumen:
     ) -> PrintedLumen:
         """Return the printed lumen of airways, or of some branches only."""
         low, high = extent_of(airways, 0.0)
-        lumen = _Lumen(wall_field(volume, airways, progress=report), airways.tree, branches)
+        lumen = _Lumen.of(wall_field(volume, airways, progress=report), airways.tree, branches)
         near = near_branches(airways, 1.5)
         mesh = solid_mesh(lumen, low, high, near, what="computing the lumen", report=report)
         return cls(mesh, WallField.from_mesh(mesh.vertices_lps, mesh.triangles, spacing_mm=FIELD_MM, progress=report))
@@ -249,7 +249,7 @@ class EndCut:
         """Return the distances of points (n, 3) from the walls of other branches, mm; negative in them."""
         if not len(self.others_lps):
             return np.full(len(points), np.inf)
-        gaps = [np.linalg.norm(some[:, None] - self.others_lps[None], axis=2).min(axis=1) for some in
+        gaps = [norms(some[:, None] - self.others_lps[None]).min(axis=1) for some in
                 np.array_split(points, max(1, len(points) * len(self.others_lps) // 2_000_000))]  # fmt: skip
         found: NDArray[np.float64] = np.concatenate(gaps) - self.wall_mm
         return found
@@ -258,7 +258,7 @@ class EndCut:
         """Return how deep points (n, 3) are inside the part that is removed, mm; negative outside."""
         away = points - self.middle_lps
         along = away @ self.out_lps
-        across = np.linalg.norm(away - along[:, None] * self.out_lps, axis=1)
+        across = norms(away - along[:, None] * self.out_lps)
         found: NDArray[np.float64] = np.minimum(np.minimum(along, self.length_mm - along), self.radius_mm - across)
         # Samples next to the surface need the exact depth on both sides.
         close = found > -1.0
@@ -273,13 +273,13 @@ def _owners(points: Points, airways: Airways) -> NDArray[np.int64]:
     if not len(points):
         return owner
     middle = points.mean(axis=0)
-    spread = float(np.linalg.norm(points - middle, axis=1).max())
+    spread = float(norms(points - middle).max())
     for branch in airways.tree.branches:
         # A ball that is farther from all points than the nearest ball of any branch cannot win.
-        near = np.linalg.norm(branch.points - middle, axis=1) - branch.radius < 2.0 * spread + 5.0
+        near = norms(branch.points - middle) - branch.radius < 2.0 * spread + 5.0
         if not near.any():
             continue
-        gaps = np.linalg.norm(points[:, None] - branch.points[near][None], axis=2) - branch.radius[near]
+        gaps = norms(points[:, None] - branch.points[near][None]) - branch.radius[near]
         least = gaps.min(axis=1)
         owner[least < best] = branch.id
         best = np.minimum(best, least)
@@ -291,37 +291,58 @@ class _Lumen:
     """The lumen of the airways, or of some branches, whose forks are cut half-way to the branches that are left out."""
 
     field: WallField
-    tree: AirwayTree
-    branches: frozenset[int] | None
+    ours: _Balls | None
+    """Balls of the branches of the lumen; None for all branches."""
+    others: _Balls | None
+    """Balls of the branches that are left out; None for all branches."""
+
+    @classmethod
+    def of(cls, field: WallField, tree: AirwayTree, branches: frozenset[int] | None) -> _Lumen:
+        """Return the lumen of the branches with these IDs; None for all branches."""
+        if branches is None:
+            return cls(field, None, None)
+        ours = [one for one in tree.branches if one.id in branches]
+        others = [one for one in tree.branches if one.id not in branches]
+        return cls(field, _Balls.of(ours), _Balls.of(others))
 
     def inside_mm(self, groups: Points) -> NDArray[np.float64]:
         """Return how deep points (n, m, 3) are inside the lumen, (n, m) mm; negative outside."""
         found: NDArray[np.float64] = self.field.distance_mm(groups.reshape(-1, 3)).reshape(groups.shape[:2])
-        if self.branches is None:
+        if self.ours is None or self.others is None:
             return found
         for number in np.flatnonzero((found > -1.0).any(axis=1)):
             # Far branches cannot own a point of the lumen.
             chosen = found[number] > -1.0
             some = groups[number][chosen]
-            ours, others = (
-                _ball_distance(some, [one for one in self.tree.branches if (one.id in self.branches) == wanted])
-                for wanted in (True, False)
-            )
-            found[number, chosen] = np.minimum(found[number, chosen], 0.5 * (others - ours))
+            margin = 0.5 * (self.others.distance_mm(some) - self.ours.distance_mm(some))
+            found[number, chosen] = np.minimum(found[number, chosen], margin)
         return found
 
 
-def _ball_distance(points: Points, branches: list[Branch]) -> NDArray[np.float64]:
-    """Return the distance of points (n, 3) to the nearest ball of centrelines, mm; 5 mm if all balls are farther."""
-    middle = points.mean(axis=0)
-    spread = float(np.linalg.norm(points - middle, axis=1).max())
-    best = np.full(len(points), 5.0)
-    for branch in branches:
-        near = np.linalg.norm(branch.points - middle, axis=1) - branch.radius < spread + 5.0
+@dataclass(frozen=True, slots=True, eq=False)
+class _Balls:
+    """Balls along the centrelines of some branches."""
+
+    points: Points
+    radius_mm: NDArray[np.float64]
+
+    @classmethod
+    def of(cls, branches: list[Branch]) -> _Balls:
+        """Return all balls of the branches."""
+        if not branches:
+            return cls(np.empty((0, 3)), np.empty(0))
+        return cls(np.concatenate([one.points for one in branches]), np.concatenate([one.radius for one in branches]))
+
+    def distance_mm(self, points: Points) -> NDArray[np.float64]:
+        """Return the distance of neighbouring points (n, 3) to the nearest ball, mm; 5 mm if all are farther."""
+        best = np.full(len(points), 5.0)
+        middle = points.mean(axis=0)
+        spread = float(norms(points - middle).max())
+        near = norms(self.points - middle) - self.radius_mm < spread + 5.0
         if near.any():
-            gaps = np.linalg.norm(points[:, None] - branch.points[near][None], axis=2) - branch.radius[near]
+            gaps = norms(points[:, None] - self.points[near][None]) - self.radius_mm[near]
             best = np.minimum(best, gaps.min(axis=1))
-    return best
+        return best
 
 
 def boxes_of(groups: Points) -> tuple[Points, Points]:
@@ -354,7 +375,7 @@ def with_dots(depth: NDArray[np.float64], away: NDArray[np.float64], groups: Poi
     for first in range(0, len(dots_lps), 16):
         some = dots_lps[first : first + 16]
         for number in boxes_near(boxes, some, DOT_MM):
-            gaps = np.linalg.norm(groups[number][:, None] - some[None], axis=2).min(axis=1)
+            gaps = norms(groups[number][:, None] - some[None]).min(axis=1)
             depth[number] = np.maximum(depth[number], np.minimum(DOT_MM - gaps, -away[number]))
 
 

@@ -22,6 +22,12 @@ BLOCKS_AT_ONCE, GROUP = 256, 128
 """Number of blocks that are computed together, and number of vertices of a group."""
 
 
+def norms(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the lengths (...) of vectors (..., 3); faster than ``numpy.linalg.norm`` along the last axis."""
+    found: NDArray[np.float64] = np.sqrt(np.einsum("...i,...i->...", vectors, vectors))
+    return found
+
+
 class Solid(Protocol):
     """Body that a signed depth describes."""
 
@@ -70,6 +76,8 @@ def solid_mesh(
     num = np.ceil((high - low) / (SAMPLE_MM * BLOCK)).astype(int)
     active = np.zeros(num[::-1], dtype=np.bool_)
     inside = np.zeros(tuple(num[::-1] * BLOCK), dtype=np.bool_)
+    nz, ny, nx = active.shape
+    of_block = inside.reshape(nz, BLOCK, ny, BLOCK, nx, BLOCK)
     block_mm = SAMPLE_MM * BLOCK
     for points, reaches in near:
         for point, reach in zip(points, reaches, strict=True):
@@ -84,8 +92,8 @@ def solid_mesh(
             depth = solid.inside_mm(middles[:, None])[:, 0]
             # The corners of a block are 0.87 of its side away from its middle.
             active[tuple(some[np.abs(depth) < 0.9 * block_mm].T)] = True
-            for k, j, i in BLOCK * some[depth >= 0.9 * block_mm]:
-                inside[k : k + BLOCK, j : j + BLOCK, i : i + BLOCK] = True
+            k, j, i = some[depth >= 0.9 * block_mm].T
+            of_block[k, :, j, :, i, :] = True
     cell = np.stack(np.meshgrid(*(np.arange(BLOCK),) * 3, indexing="ij")[::-1], axis=-1).reshape(-1, 3)
     blocks = np.argwhere(active)
     for n in range(0, len(blocks), BLOCKS_AT_ONCE):
@@ -94,8 +102,7 @@ def solid_mesh(
         some = blocks[n : n + BLOCKS_AT_ONCE]
         points = low + SAMPLE_MM * (some[:, None, ::-1] * BLOCK + cell)
         part = (solid.inside_mm(points) > 0.0).reshape(-1, BLOCK, BLOCK, BLOCK)
-        for (k, j, i), one in zip(some * BLOCK, part, strict=True):
-            inside[k : k + BLOCK, j : j + BLOCK, i : i + BLOCK] = one
+        of_block[some[:, 0], :, some[:, 1], :, some[:, 2], :] = part
     if not inside.any():
         raise NoResultError("the airway lumen is empty", code="print.no-lumen")
     pieces = numbered_parts(inside)
