@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import struct
 
 import numpy as np
@@ -86,6 +87,16 @@ def test_stl_is_watertight_with_outward_normals(tmp_path, request, name):
     assert num < 2**21  # three vertex numbers in one integer
     assert len(np.unique((a * num + b) * num + c)) == len(triangles)
     assert path.read_bytes()[:80].startswith(b"Carina printable airway wall")
+
+
+def test_lumen_that_reaches_beyond_the_radii_of_its_branches_is_printed_whole():
+    """A bulge was cut flat where no ball of the centreline reached."""
+    volume = carina.generate_phantom(spacing_mm=3.0, generations=3).volume
+    airways = carina.find_airways(volume)
+    thin = [dataclasses.replace(one, radius=0.3 * one.radius) for one in airways.tree.branches]
+    bulging = dataclasses.replace(airways, tree=dataclasses.replace(airways.tree, branches=tuple(thin)))
+    whole, found = (PrintedLumen.of(volume, one, None).mesh for one in (airways, bulging))
+    assert found.volume_mm3 == pytest.approx(whole.volume_mm3, rel=1e-3)
 
 
 def test_wall_has_its_thickness_within_a_fifth_of_a_millimetre_everywhere(chest, plain):

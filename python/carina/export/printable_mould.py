@@ -30,6 +30,7 @@ from carina.export.printable_phantom import (
     boxes_of,
     check_size,
     near_branches,
+    near_surface,
     with_dots,
 )
 from carina.export.sampled_solid import norms, solid_mesh
@@ -176,7 +177,8 @@ def printable_mould(
         dots, written, _ = name_dots(airways, lumen.field, wall_mm, branches=frozenset(chosen))
     cut = EndCut.of(tree.root, airways, lumen, at_start=True, wall_mm=wall_mm)
     shapes = _Shapes(lumen, wall_mm, cut, tuple(rods), dots, parting, box)
-    near = near_branches(airways, wall_mm + DOT_MM + 1.5)
+    reach_mm = wall_mm + DOT_MM + 1.5
+    near = [*near_branches(airways, reach_mm), near_surface(lumen.mesh, reach_mm)]
     meshes = []
     for part in MOULD_PARTS:
         reach = HANDLE_MM + 3.0 if part == "core" else 1.0

@@ -23,7 +23,7 @@ from carina.export.embossed_names import DOT_MM, name_dots
 from carina.export.sampled_solid import norms, solid_mesh
 from carina.scopes import WallField
 from carina.track import Airways, AirwayTree, Branch, wall_field
-from carina.track.surface.mesh import Mesh
+from carina.track.surface.mesh import Mesh, lumen_mesh
 from carina.volume import Volume
 
 Points = NDArray[np.float64]
@@ -137,6 +137,7 @@ def printable_phantom(
     low, high = extent_of(airways, wall_mm)
     check_size("phantom", tuple(float(v) for v in high - low), build_mm)
     lumen = PrintedLumen.of(volume, airways, report)
+    low, high = _box_of(lumen.mesh.vertices_lps, wall_mm)
     field = lumen.field
     cuts = [EndCut.of(tree.root, airways, lumen, at_start=True, wall_mm=wall_mm)]
     tips = [tip for tip in tree.tips() if tip.id != tree.root.id] if open_tips else []
@@ -145,7 +146,7 @@ def printable_phantom(
     cuts += opened
     dots, written, left_out = name_dots(airways, field, wall_mm) if names else (np.empty((0, 3)), (), ())
     solid = _Wall(field, wall_mm, tuple(cuts), dots)
-    near = near_branches(airways, wall_mm + DOT_MM + 1.5)
+    near = [near_surface(lumen.mesh, wall_mm + DOT_MM + 1.5)]
     mesh = solid_mesh(solid, low, high, near, what="computing the wall", report=report)
     size = np.ptp(mesh.vertices_lps, axis=0)
     extent = (float(size[0]), float(size[1]), float(size[2]))
@@ -167,9 +168,11 @@ class PrintedLumen:
         cls, volume: Volume, airways: Airways, report: Any, *, branches: frozenset[int] | None = None
     ) -> PrintedLumen:
         """Return the printed lumen of airways, or of some branches only."""
-        low, high = extent_of(airways, 0.0)
+        surface = lumen_mesh(volume, airways)
+        low, high = _box_of(surface.vertices_lps, 0.0)
         lumen = _Lumen.of(wall_field(volume, airways, progress=report), airways.tree, branches)
-        near = near_branches(airways, 1.5)
+        # A lumen that is not round reaches beyond the radii of its centreline.
+        near = [*near_branches(airways, 1.5), near_surface(surface, 1.5)]
         mesh = solid_mesh(lumen, low, high, near, what="computing the lumen", report=report)
         return cls(mesh, WallField.from_mesh(mesh.vertices_lps, mesh.triangles, spacing_mm=FIELD_MM, progress=report))
 
@@ -177,6 +180,17 @@ class PrintedLumen:
 def near_branches(airways: Airways, reach_mm: float) -> list[tuple[Points, NDArray[np.float64]]]:
     """Return the centrelines of all branches, with the radii plus a reach in mm."""
     return [(branch.points, branch.radius + reach_mm) for branch in airways.tree.branches]
+
+
+def near_surface(mesh: Mesh, reach_mm: float) -> tuple[Points, NDArray[np.float64]]:
+    """Return the vertices of a surface, with a reach in mm."""
+    return mesh.vertices_lps, np.full(len(mesh.vertices_lps), reach_mm)
+
+
+def _box_of(points: Points, wall_mm: float) -> tuple[Points, Points]:
+    """Return the corners (3,) of a box round points (n, 3) of a surface and the wall around it, LPS mm."""
+    margin = wall_mm + 2.0
+    return points.min(axis=0) - margin, points.max(axis=0) + margin
 
 
 def extent_of(airways: Airways, wall_mm: float) -> tuple[Points, Points]:

@@ -80,10 +80,11 @@ def solid_mesh(
     of_block = inside.reshape(nz, BLOCK, ny, BLOCK, nx, BLOCK)
     block_mm = SAMPLE_MM * BLOCK
     for points, reaches in near:
-        for point, reach in zip(points, reaches, strict=True):
-            first = np.maximum(np.floor((point - reach - low) / block_mm).astype(int), 0)
-            last = np.minimum(np.floor((point + reach - low) / block_mm).astype(int) + 1, num)
-            active[first[2] : last[2], first[1] : last[1], first[0] : last[0]] = True
+        first = np.maximum(np.floor((points - reaches[:, None] - low) / block_mm).astype(int), 0)
+        last = np.minimum(np.floor((points + reaches[:, None] - low) / block_mm).astype(int) + 1, num)
+        # Neighbouring points have the same blocks.
+        for i, j, k, end_i, end_j, end_k in np.unique(np.hstack([first, last]), axis=0):
+            active[k:end_k, j:end_j, i:end_i] = True
     if is_large:
         rest = np.argwhere(~active)
         for n in range(0, len(rest), GROUP * BLOCKS_AT_ONCE):
