@@ -89,8 +89,9 @@ def test_stl_is_watertight_with_outward_normals(tmp_path, request, name):
     assert path.read_bytes()[:80].startswith(b"Carina printable airway wall")
 
 
-def test_lumen_that_reaches_beyond_the_radii_of_its_branches_is_printed_whole():
+def test_lumen_that_reaches_beyond_the_radii_of_its_branches_is_printed_whole(monkeypatch):
     """A bulge was cut flat where no ball of the centreline reached."""
+    monkeypatch.setattr("carina.export.sampled_solid.SAMPLE_MM", 0.8)
     volume = carina.generate_phantom(spacing_mm=3.0, generations=3).volume
     airways = carina.find_airways(volume)
     thin = [dataclasses.replace(one, radius=0.3 * one.radius) for one in airways.tree.branches]
