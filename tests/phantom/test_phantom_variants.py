@@ -68,21 +68,7 @@ def test_ground_truth_of_each_variant_has_the_bronchi_at_their_origins():
         assert {isomeric.branch(c).name for c in isomeric.named("RMB").children} == {"RUL", "RLL"}
 
 
-@pytest.mark.parametrize(
-    "variant",
-    [
-        pytest.param(
-            one,
-            marks=pytest.mark.xfail(
-                strict=True,
-                reason="RB8 is called RB7+8 if RB7 is absent (evidence tried: measurements/airways.md)",
-            ),
-        )
-        if one == "absent-rb7"
-        else one
-        for one in sorted(CHANGED)
-    ],
-)
+@pytest.mark.parametrize("variant", sorted(CHANGED))
 def test_names_given_to_the_true_tree_equal_the_truth(variant):
     """Over 20 seeds at least 95 % of the segments are named right and at most 3 % wrong."""
     right = wrong = total = 0

@@ -12,7 +12,7 @@ import pytest
 from carina.phantom import generate_phantom
 from carina.track import AirwayTree, Branch, LetterRule, branch_side_and_lobe, name_tree, name_words
 from carina.track.names.anatomy_model import LOBES, grammar
-from carina.track.names.assignment import Solver
+from carina.track.names.assignment import Solver, probability_of_one_segment
 from carina.track.names.letters import letter_order
 from carina.track.names.tree_shape import bronchi_of, find_lungs
 
@@ -332,6 +332,37 @@ def test_name_given_to_a_branch_below_a_segment_determines_the_segment():
     )
     assert named.branch(segment.id).name == "RB10"
     assert named.branch(child).name == "RB10c"
+
+
+@pytest.mark.parametrize("seed", [1, 4])
+def test_fork_of_rb8_is_read_as_a_stem_with_rb7_only_if_a_user_named_rb7(seed):
+    box = ((-10.0, -10.0, -10.0), (10.0, 10.0, 10.0))
+    made = generate_phantom(seed=seed, spacing_mm=5.0, box_lps=box, variant="absent-rb7", progress=False)
+    tree = AirwayTree.from_json(made.truth)
+    stem = tree.named("RB8")
+    medial = max(stem.children, key=lambda child: tree.branch(child).tip_lps[0])
+    for person in (False, True):
+        named = name_tree(
+            AirwayTree(
+                tuple(
+                    dataclasses.replace(
+                        b,
+                        name="RB7" if person and b.id == medial else None,
+                        name_from="person" if person and b.id == medial else None,
+                    )
+                    for b in tree.branches
+                )
+            )
+        )
+        assert named.branch(stem.id).name == ("RB7+8" if person else "RB8")
+        assert ("RB7" in named.names) == person
+
+
+def test_close_territories_are_one_basal_segment_and_distant_ones_are_two():
+    probability = [probability_of_one_segment(apart) for apart in (0.0, 0.25, 0.35, 0.42, 0.5, 0.9)]
+    assert probability == sorted(probability, reverse=True)
+    assert probability[2] > 0.8
+    assert probability[3] < 0.3
 
 
 def test_naming_a_named_tree_again_gives_equal_names():
