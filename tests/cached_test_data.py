@@ -53,9 +53,9 @@ SMALL_CHEST: dict[str, Any] = {"seed": 4, "spacing_mm": 1.2, "generations": 4}
 def digest_of_the_code() -> str:
     """Return a digest of the code that determines the voxels, the geometry and the ground truth of a phantom."""
     found = hashlib.sha256(f"{sys.version} numpy {np.__version__}".encode())
-    for module in (_core, phantom, model, sys.modules[__name__]):
-        assert module.__file__ is not None
-        found.update(Path(module.__file__).read_bytes())
+    files = [_core.__file__, model.__file__, sys.modules[__name__].__file__]
+    for path in (*map(str, files), *sorted(map(str, Path(*phantom.__path__).glob("*.py")))):
+        found.update(Path(path).read_bytes())
     return found.hexdigest()[:16]
 
 

@@ -33,9 +33,6 @@ from .export import (
     write_film as write_film,
     write_tree as write_tree,
 )
-from .mr_phantom import (
-    generate_mr_phantom as generate_mr_phantom,
-)
 from .navigate import (
     FlightPath as FlightPath,
     Navigator as Navigator,
@@ -44,6 +41,7 @@ from .notebook import (
     show as show,
 )
 from .phantom import (
+    generate_mr_phantom as generate_mr_phantom,
     generate_phantom as generate_phantom,
     write_phantom as write_phantom,
 )

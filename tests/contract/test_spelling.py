@@ -13,8 +13,8 @@ from carina.track import measure_tree
 
 PACKAGE = Path(carina.__file__).parent
 OTHER_SPELLING = {
-    ("leaning_phantom.py", "center_lps"),  # key of the compiled module
-    ("phantom.py", "center_lps"),  # earlier versions of truth.json, and the compiled module
+    ("phantom/leaning_trachea.py", "center_lps"),  # key of the compiled module
+    ("phantom/chest.py", "center_lps"),  # earlier versions of truth.json, and the compiled module
     ("server/wire/codec.py", "center_lps"),  # wire version 1
     ("server/wire/messages_of_phone.py", "recenter"),  # action of the wire
     ("volume/grid_writing.py", "CenterOfRotation"),  # key of MetaImage

@@ -7,14 +7,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from carina import phantom
-from carina.phantom import GENERATOR_VERSION, demo_phantom, generate_phantom
+from carina.phantom import GENERATOR_VERSION, chest, demo_phantom, generate_phantom
 
 
 @pytest.fixture
 def small_demo(monkeypatch: pytest.MonkeyPatch) -> None:
     """Replace the options of the demo by small ones, because the real options take seconds."""
-    monkeypatch.setattr(phantom, "DEMO_OPTIONS", {"seed": 1, "spacing_mm": 5.0, "generations": 4, "nodule": True})
+    monkeypatch.setattr(chest, "DEMO_OPTIONS", {"seed": 1, "spacing_mm": 5.0, "generations": 4, "nodule": True})
 
 
 @pytest.mark.usefixtures("small_demo")

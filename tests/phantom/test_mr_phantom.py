@@ -9,8 +9,8 @@ from typer.testing import CliRunner
 
 import carina
 from carina.errors import CancelledError, UsageError
-from carina.mr_phantom import SOFT_VALUE, _signal, generate_mr_phantom
 from carina.phantom import generate_phantom
+from carina.phantom.mr_picture import SOFT_VALUE, _signal, generate_mr_phantom
 from carina.track.targets.paper_tracker import track_on_graph
 
 

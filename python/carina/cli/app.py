@@ -589,6 +589,9 @@ def phantom(
             "published (by seed, with the published frequencies)."
         ),
     ] = None,
+    lesion: Annotated[
+        str | None, typer.Option(help="Add a lesion to one bronchus: tumour, mucus, bleeding or foreign-body.")
+    ] = None,
     mr: Annotated[
         bool, typer.Option("--mr", help="Write an MR picture of the chest, mr.nii.gz (not in HU), instead of a CT.")
     ] = False,
@@ -600,12 +603,11 @@ def phantom(
     """
     with exit_codes(as_json):
         from carina.errors import UsageError
-        from carina.mr_phantom import generate_mr_phantom
-        from carina.phantom import generate_phantom, write_phantom
+        from carina.phantom import generate_mr_phantom, generate_phantom, write_phantom
 
         check_output_folder(output)
         changes = {"stenosis": stenosis, "nodule": nodule, "neck": neck, "tube": tube, "resected": resected}
-        changes |= {"variant": variant}
+        changes |= {"variant": variant, "lesion": lesion}
         chosen = [f"--{name}" for name, value in changes.items() if value]
         if mr and chosen:
             msg = f"--mr: expected a chest without {', '.join(chosen)}; leave one of the two out"
@@ -625,6 +627,7 @@ def phantom(
                 tube=tube,
                 resected=resected,
                 variant=variant,
+                lesion=lesion,
                 progress=progress_printer(),
             )
         written = write_phantom(made, output)

@@ -1,4 +1,4 @@
-"""Synthetic chest CT with exact ground truth, for demos, tests, teaching and synthetic data."""
+"""The phantom as volume and truth: generated chests, their files, and the demo case in the cache."""
 
 from __future__ import annotations
 
@@ -35,7 +35,8 @@ from carina.config import load_settings
 from carina.disk import Draft, make_folder
 from carina.display.progress import ProgressChoice, progress_function, shows_progress
 from carina.errors import CancelledError, UsageError
-from carina.leaning_phantom import MAX_LEAN_DEG, lean_chest, moved_mm
+from carina.phantom.airway_lesions import LESIONS, add_lesion
+from carina.phantom.leaning_trachea import MAX_LEAN_DEG, lean_chest, moved_mm
 from carina.volume import Volume, VolumeSource, write_grid_to
 
 __all__ = ["Phantom", "demo_phantom", "generate_phantom", "lumen_distance_at", "write_phantom"]
@@ -64,7 +65,7 @@ class Phantom:
     truth: dict[str, Any]
     """Document of ``truth.json``: an exact ``carina-tree`` (LPS, mm), with ``nodule`` and ``stenosis`` or None.
 
-    It has ``cricoid_lps``, ``tube``, ``lean_deg`` and ``variants`` if they were requested.
+    It has ``cricoid_lps``, ``tube``, ``lean_deg``, ``variants`` and ``lesion`` if they were requested.
     """
     lumen_distance_mm: NDArray[np.float32] | None = None
     """``(nz, ny, nx)`` signed distance to the lumen's surface, mm, negative inside; None unless requested.
@@ -106,6 +107,7 @@ def _check_spacing(where: str, name: str, value: object) -> None:
     tube=choice("endotracheal", "tracheostomy", optional=True),
     resected=choice("RUL", "RML", "RLL", "LUL", "LLL", optional=True),
     variant=choice(*VARIANTS, optional=True),
+    lesion=choice(*LESIONS, optional=True),
     box_lps=array_of(2, 3, optional=True, what="two corners of three finite numbers in mm (LPS)"),
     with_distance=flag,
     cancel=function,
@@ -123,6 +125,7 @@ def generate_phantom(
     tube: str | None = None,
     resected: str | None = None,
     variant: str | None = None,
+    lesion: str | None = None,
     box_lps: Sequence[Sequence[float]] | None = None,
     with_distance: bool = False,
     progress: ProgressChoice = None,
@@ -169,6 +172,11 @@ def generate_phantom(
         trunk; all right basal segments arise together), ``left-isomerism`` (both lungs have the pattern of the left
         one), or ``published``: each variant is drawn by the seed with its published frequency (docs/algorithms.md).
         ``truth["variants"]`` lists them. None: no such variant; the divisions of the lobes vary by seed.
+    lesion
+        Lesion in one bronchus, with position and size by seed: ``tumour`` (inside the lumen, on its wall), ``mucus``
+        (7 to 12 mm of a segmental bronchus, at least .7 of its height), ``bleeding`` (a pool of blood) or
+        ``foreign-body`` (as dense as bone). ``truth["lesion"]`` describes it; ``lumen_zyx`` is without it, and the tree
+        is that of the bronchus without it. Not together with a lean or ``with_distance``.
     box_lps
         ``((x, y, z), (x, y, z))`` lower and upper corner of the part to generate, in mm. Default: the whole chest. The
         truth always contains the whole tree.
@@ -223,6 +231,11 @@ def generate_phantom(
         raise UsageError(
             f"lean: expected a chest without a {what}; found both; leave one of them out", code="phantom.option"
         )
+    if lesion is not None and (leans or with_distance):
+        what = "a lean" if leans else "distances"
+        raise UsageError(
+            f"lesion: expected a chest without {what}; found both; leave one of them out", code="phantom.option"
+        )
     # Parts of the neck that are shifted into the box come from outside the box.
     beside: tuple[int, ...] = (0, 0)
     if leans and box is not None:
@@ -258,6 +271,8 @@ def generate_phantom(
     )
     if leans:
         lean_chest(made, lean_deg, beside)
+    if lesion is not None:
+        made["lesion"] = add_lesion(made, lesion, seed)
     branches = [
         {
             "id": b["id"],
@@ -284,7 +299,7 @@ def generate_phantom(
         "nodule": made.get("nodule"),
         "stenosis": made.get("stenosis"),
     }
-    truth |= {key: made[key] for key in ("cricoid_lps", "tube", "lean_deg", "variants") if key in made}
+    truth |= {key: made[key] for key in ("cricoid_lps", "tube", "lean_deg", "variants", "lesion") if key in made}
     truth = in_one_spelling(truth)
     return Phantom(
         volume=_volume(made["hu_zyx"], np.array(made["lps_from_ijk"]), seed),

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from carina.argument_checks import check_arguments, function, number_from, whole_from
 from carina.display.progress import ProgressChoice, progress_function, shows_progress
 from carina.errors import CancelledError
-from carina.phantom import Phantom, generate_phantom
+from carina.phantom.chest import Phantom, generate_phantom
 from carina.volume import Volume, VolumeSource
 
 __all__ = ["generate_mr_phantom"]
