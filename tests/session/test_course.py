@@ -139,6 +139,7 @@ def test_flight_is_compared_with_the_flight_that_is_marked_as_the_experts(workst
     session.do(CompareFlight(second))
     until(lambda: workstation.info.scores[1].comparison)
     assert workstation.info.scores[1].comparison[0].startswith("time: 1 s, expert 1 s")
+    assert workstation.info.scores[1].comparison_moments == ()
     session.do(MarkExpert(second))
     assert workstation.info.scores[1].comparison == (), "the comparison was with another flight"
     session.do(RemoveFlight(second))

@@ -3,7 +3,7 @@
 from carina.training.attempt_checks import AttemptDoubt
 from carina.training.course import Course, CourseAttempt, Learner, learner_files
 from carina.training.events import FlightEvent
-from carina.training.expert import BranchStay, FlightComparison, compare_flights
+from carina.training.expert import BranchStay, FlightComparison, HighErrorEvent, compare_flights
 from carina.training.flight_frames import FlightFrames, flight_frames
 from carina.training.insert_nodule import InsertedNodule, free_nodule_position, insert_nodule
 from carina.training.log_files import events_csv, flight_log, poses_csv, scores_csv, write_flight_log, xapi_statements
@@ -30,6 +30,7 @@ __all__ = [
     "FlightFrames",
     "FlightScorer",
     "FolderTasks",
+    "HighErrorEvent",
     "InsertedNodule",
     "Learner",
     "Mastery",

@@ -23,6 +23,12 @@ PATH_STEP_MM = 0.5
 MAX_PATH_POINTS = 40_000
 VARIANCE_FRAMES = 11
 """Number of frames (1 s) over which the local variance of the deviation is computed."""
+HIGH_ERROR_MM = 5.0
+"""Deviation in mm above which a frame belongs to a high-error event; a limit of Carina, as no limit is published."""
+HIGH_ERROR_FRAMES = 5
+"""Least number of frames (0.5 s) from the first to the last frame of a high-error event; a limit of Carina."""
+HIGH_ERROR_GAP_FRAMES = 5
+"""Number of frames (0.5 s) without a high deviation that separate two high-error events; a limit of Carina."""
 
 
 @one_line
@@ -33,6 +39,35 @@ class BranchStay:
     name: str
     own_s: float
     expert_s: float
+
+
+@one_line
+@dataclass(frozen=True, slots=True)
+class HighErrorEvent:
+    """Period of at least 0.5 s in which the tip is more than 5 mm from the expert's tip at the same place.
+
+    Periods less than 0.5 s apart are one event. The definition is Carina's; no threshold is published.
+    """
+
+    start_s: float
+    """Time in s, from the start of the recording of the compared flight, at which the event begins."""
+    duration_s: float
+    worst_mm: float
+    """Largest distance in mm of the tip from the expert's tip at the same place during the event."""
+    worst_s: float
+    """Time in s, from the start of the recording of the compared flight, at which ``worst_mm`` occurs."""
+    branch: str
+    """Branch in which ``worst_mm`` occurs."""
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the event as plain JSON types."""
+        return {
+            "start_s": self.start_s,
+            "duration_s": self.duration_s,
+            "worst_mm": self.worst_mm,
+            "worst_s": self.worst_s,
+            "branch": self.branch,
+        }
 
 
 @one_line
@@ -59,6 +94,8 @@ class FlightComparison:
     worst_branch: str | None
     worst_s: float | None
     """Time in s, from the start of the recording of the compared flight, at which ``worst_mm`` occurs."""
+    high_error_events: tuple[HighErrorEvent, ...]
+    """Periods with a high deviation, in the order of time; empty without a deviation."""
     num_contacts: int
     expert_contacts: int
     touched_only_own: tuple[str, ...]
@@ -66,6 +103,11 @@ class FlightComparison:
     entered_only_own: tuple[str, ...] = field(repr=False)
     """Branches that only the compared flight entered."""
     entered_only_expert: tuple[str, ...] = field(repr=False)
+
+    @property
+    def num_high_error_events(self) -> int | None:
+        """Number of high-error events; None without a deviation."""
+        return None if self.deviation_mm is None else len(self.high_error_events)
 
     def lines(self) -> tuple[str, ...]:
         """Return the differences as texts for the user, with their places."""
@@ -84,6 +126,7 @@ class FlightComparison:
                 f"{self.worst_branch} after {self.worst_s:.1f} s; compared over {100.0 * self.compared_share:.0f} % of "
                 f"the time{self._variance_text()}"
             )
+            found.append(self._high_error_text())
         touches = f"wall contacts: {self.num_contacts}, expert {self.expert_contacts}"
         if self.touched_only_own:
             touches += f"; the expert did not touch the wall in {', '.join(self.touched_only_own)}"
@@ -97,6 +140,20 @@ class FlightComparison:
     def _variance_text(self) -> str:
         variance = self.deviation_variance_mm2
         return "" if variance is None else f"; local variance {variance:.2f} mm²"
+
+    def _high_error_text(self) -> str:
+        events = self.high_error_events
+        text = (
+            f"high-error events: {len(events)} (more than {HIGH_ERROR_MM:g} mm from the expert's path for at least "
+            f"{HIGH_ERROR_FRAMES / FRAME_HZ:g} s)"
+        )
+        if events:
+            longest = max(events, key=lambda one: one.duration_s)
+            text += (
+                f"; the longest after {longest.start_s:.1f} s for {longest.duration_s:.1f} s, up to "
+                f"{longest.worst_mm:.1f} mm in {longest.branch}"
+            )
+        return text
 
     def to_json(self) -> dict[str, Any]:
         """Return the comparison as plain JSON types."""
@@ -113,6 +170,8 @@ class FlightComparison:
             "worst_mm": self.worst_mm,
             "worst_branch": self.worst_branch,
             "worst_s": self.worst_s,
+            "num_high_error_events": self.num_high_error_events,
+            "high_error_events": [one.to_json() for one in self.high_error_events],
             "num_contacts": self.num_contacts,
             "expert_contacts": self.expert_contacts,
             "touched_only_own": list(self.touched_only_own),
@@ -182,6 +241,16 @@ def compare_flights(tree: AirwayTree, own: Score, expert: Score) -> FlightCompar
         worst_mm=None if worst is None else float(deviations[worst]),
         worst_branch=None if worst is None else names[int(ours.ids[worst])],
         worst_s=None if worst is None else own.clock_start_s + worst / FRAME_HZ,
+        high_error_events=tuple(
+            HighErrorEvent(
+                start_s=own.clock_start_s + first / FRAME_HZ,
+                duration_s=(last - first + 1) / FRAME_HZ,
+                worst_mm=float(deviations[at]),
+                worst_s=own.clock_start_s + at / FRAME_HZ,
+                branch=names[int(ours.ids[at])],
+            )
+            for first, last, at in _high_error_periods(deviations)
+        ),
         num_contacts=len(own.contacts),
         expert_contacts=len(expert.contacts),
         touched_only_own=tuple(dict.fromkeys(one.branch for one in own.contacts if one.branch not in touched)),
@@ -230,6 +299,20 @@ def _local_variance(deviations: NDArray[np.float64]) -> float | None:
     windows = np.lib.stride_tricks.sliding_window_view(deviations, VARIANCE_FRAMES)
     complete = windows[np.isfinite(windows).all(axis=1)]
     return float(complete.var(axis=1).mean()) if len(complete) else None
+
+
+def _high_error_periods(deviations: NDArray[np.float64]) -> list[tuple[int, int, int]]:
+    """Return the first, the last and the worst frame of each high-error event.
+
+    A frame without a deviation (NaN) has no high deviation. Periods are joined before their length is tested, so that
+    a short return below the limit does not hide an event.
+    """
+    high = np.flatnonzero(deviations > HIGH_ERROR_MM)
+    found = []
+    for frames in np.split(high, np.flatnonzero(np.diff(high) > HIGH_ERROR_GAP_FRAMES) + 1):
+        if len(frames) and frames[-1] - frames[0] + 1 >= HIGH_ERROR_FRAMES:
+            found.append((int(frames[0]), int(frames[-1]), int(frames[np.argmax(deviations[frames])])))
+    return found
 
 
 def _longest_stay(own: _Places, expert: _Places, names: dict[int, str]) -> BranchStay | None:

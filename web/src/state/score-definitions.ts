@@ -68,4 +68,11 @@ export const SCORE_DEFINITIONS: readonly Definition[] = [
       "its local variance is the mean variance within one second (deviation and variance: Deng, ICRA 2026; the limits " +
       "are Carina's). No threshold is published.",
   },
+  {
+    title: "High-error events",
+    words:
+      "Periods of at least 0.5 s with a deviation of more than 5 mm; periods less than 0.5 s apart are joined first " +
+      "(number of high-error events: Deng, ICRA 2026, whose limits were not read; these limits are Carina's). No " +
+      "threshold is published, and no pass mark. Up to three with the largest deviations can be replayed.",
+  },
 ];

@@ -1,6 +1,7 @@
 import { describe, expect, it } from "vitest";
 import type { FlightScore, QuizInfo, RunningTask, TaskInfo, TrainingMessage } from "../wire/messages";
 import { INITIAL_STATE, reduce } from "./app-state";
+import { SCORE_DEFINITIONS } from "./score-definitions";
 import {
   answerText,
   attemptOf,
@@ -59,6 +60,7 @@ const SCORE: FlightScore = {
   clock_start_s: 0,
   clock_end_s: 65,
   comparison: [],
+  comparison_moments: [],
 };
 const message = (parts: Partial<TrainingMessage>): TrainingMessage => ({
   type: "training",
@@ -192,5 +194,19 @@ describe("the score of an attempt", () => {
     expect(outcomeText(SCORE)).toBe("Not completed: 2 of 17 steps");
     expect(outcomeText({ ...SCORE, completed: true })).toBe("All segments of this case visited");
     expect(outcomeText({ ...SCORE, completed: true, is_inspection: false })).toBe("Completed");
+  });
+});
+
+describe("the definitions of the score screen", () => {
+  it("state the limits of a high-error event, that they are Carina's, and that no threshold is published", () => {
+    const words = SCORE_DEFINITIONS.find(({ title }) => title === "High-error events")?.words ?? "";
+    for (const part of ["at least 0.5 s", "more than 5 mm", "less than 0.5 s apart", "Carina's", "No threshold is"]) {
+      expect(words).toContain(part);
+    }
+  });
+
+  it("have different titles", () => {
+    const titles = SCORE_DEFINITIONS.map(({ title }) => title);
+    expect(new Set(titles).size).toBe(titles.length);
   });
 });

@@ -2324,6 +2324,7 @@ export interface FlightScore {
   readonly clock_start_s: number;
   readonly clock_end_s: number;
   readonly comparison: readonly string[];
+  readonly comparison_moments: readonly ScoreMoment[];
 }
 
 /** Published scores of one group on a phantom, with another system; not a pass mark. */

@@ -144,6 +144,8 @@ class FlightScore(FrozenValue, frozen=True):
     clock_end_s: float
     comparison: tuple[Words, ...]
     """Differences from the expert's flight; empty before the comparison."""
+    comparison_moments: tuple[ScoreMoment, ...] = ()
+    """At most three high-error events of the comparison, to be replayed: those with the largest deviations."""
 
 
 class ReferenceScores(FrozenValue, frozen=True):

@@ -142,6 +142,7 @@ def flight_score(
         clock_start_s=score.clock_start_s,
         clock_end_s=score.clock_end_s,
         comparison=() if comparison is None else comparison.lines(),
+        comparison_moments=() if comparison is None else high_error_moments(comparison),
     )
 
 
@@ -172,6 +173,15 @@ def _moment_words(event: FlightEvent, lasted: dict[float, float]) -> str:
     if event.kind == "contact":
         words += f", {event.detail}, {lasted.get(event.time_s, 0.0):.1f} s"
     return words
+
+
+def high_error_moments(comparison: FlightComparison) -> tuple[ScoreMoment, ...]:
+    """Return at most three high-error events to replay, in the order of time: those with the largest deviations."""
+    worst = sorted(comparison.high_error_events, key=lambda one: -one.worst_mm)[:MAX_MOMENTS]
+    return tuple(
+        ScoreMoment(one.start_s, f"high-error event: {one.branch}, up to {one.worst_mm:.1f} mm, {one.duration_s:.1f} s")
+        for one in sorted(worst, key=lambda one: one.start_s)
+    )
 
 
 def verdict_words(scores: Sequence[Score]) -> str | None:
