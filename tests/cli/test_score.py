@@ -126,7 +126,7 @@ def test_score_is_compared_with_the_flight_of_an_expert(carina, ct, flight):
     assert text.code == 0
     assert "Compared with the expert's flight, by place" in text.out
     assert "deviation from the expert's path: mean 0.0 mm" in text.out
-    assert "high-error events: 0 (more than 5 mm from the expert's path for at least 0.5 s)" in text.out
+    assert "high-error events (over 5 mm for 0.5 s or longer): 0" in text.out
     found = json.loads(carina("score", flight, ct, "--expert", flight, "--json").out)["comparison"]
     assert (found["num_high_error_events"], found["high_error_events"]) == (0, [])
     assert (found["worst_mm"], found["longest_stay"], found["compared_share"]) == (0.0, None, 1.0)

@@ -297,7 +297,8 @@ def test_comparison_with_the_expert_is_complete_without_scrolling_and_printed_on
     page.get_by_role("button", name="Train", exact=True).click()
     for number in range(2):
         start(page, "inspect-all")
-        host.drive(running, 1.5 * number)
+        # The second tip is 6 mm beside the first one.
+        host.drive(running, 6.0 * number)
         end(page)
         close_score(page)
     first, second = (flight["number"] for flight in workstation.state("flights"))
@@ -315,6 +316,7 @@ def test_comparison_with_the_expert_is_complete_without_scrolling_and_printed_on
     assert len(pages) == 1
     printed = " ".join(pages[0].extract_text().split())
     assert "local variance" in printed
+    assert "High-error events (over 5 mm for 0.5 s or longer): " in printed
     assert "Number of segments seen" in printed, "a printed page contains the definitions"
     # Every row has its definition one click away, and all other texts have theirs behind one button.
     rows = page.get_by_test_id("score-row")
@@ -329,6 +331,13 @@ def test_comparison_with_the_expert_is_complete_without_scrolling_and_printed_on
     text = page.get_by_test_id("definitions").inner_text()
     assert "Konge 2011" in text
     assert "Deng, ICRA 2026" in text
+    assert "High-error events" in text
     workstation.picture("journey-definitions")
+    # The high-error events with the largest deviations can be replayed.
+    moments = page.get_by_test_id("high-error-moment")
+    assert moments.count() == len(workstation.state("training.scores.at(-1).comparison_moments")) == 3
+    moments.first.click()
+    page.get_by_test_id("score-dialog").wait_for(state="detached")
+    workstation.wait_for(f"window.__carina.state.pose.flight?.number === {second}")
     assert workstation.faults == []
     host.close(running)

@@ -143,15 +143,13 @@ class FlightComparison:
 
     def _high_error_text(self) -> str:
         events = self.high_error_events
-        text = (
-            f"high-error events: {len(events)} (more than {HIGH_ERROR_MM:g} mm from the expert's path for at least "
-            f"{HIGH_ERROR_FRAMES / FRAME_HZ:g} s)"
-        )
+        least_s = HIGH_ERROR_FRAMES / FRAME_HZ
+        text = f"high-error events (over {HIGH_ERROR_MM:g} mm for {least_s:g} s or longer): {len(events)}"
         if events:
             longest = max(events, key=lambda one: one.duration_s)
             text += (
-                f"; the longest after {longest.start_s:.1f} s for {longest.duration_s:.1f} s, up to "
-                f"{longest.worst_mm:.1f} mm in {longest.branch}"
+                f"; longest {longest.duration_s:.1f} s after {longest.start_s:.1f} s, up to {longest.worst_mm:.1f} mm "
+                f"in {longest.branch}"
             )
         return text
 

@@ -7,7 +7,7 @@ import { sentence } from "../state/format";
 import { clock } from "../state/playing";
 import { SCORE_DEFINITIONS } from "../state/score-definitions";
 import { expertFlight, outcomeText, publishedRows, type ScoreRow, unmarkedRows } from "../state/training";
-import type { FlightScore, ScoreMoment } from "../wire/messages";
+import type { FlightScore } from "../wire/messages";
 import { useApp, useStation } from "./context";
 import { Act } from "./controls";
 import { Icon } from "./icons";
@@ -228,36 +228,26 @@ function Comparison({ score }: { score: FlightScore }) {
           <li key={words}>{sentence(words)}</li>
         ))}
       </ul>
-      {score.comparison_moments.length === 0 ? null : (
-        <div className="score-moments">
-          <Replays moments={score.comparison_moments} flight={score.flight} testId="comparison-moment" />
-        </div>
-      )}
     </div>
   );
 }
 
 function Moments({ score }: { score: FlightScore }) {
+  const station = useStation();
   if (score.moments.length === 0) return null;
   return (
     <div className="score-moments">
       <strong>To look at again</strong>
-      <Replays moments={score.moments} flight={score.flight} testId="score-moment" />
+      {score.moments.map(({ time_s, words }) => (
+        <Act
+          key={`${time_s} ${words}`}
+          icon="play"
+          label={`${clock(time_s)} ${words}`}
+          words="Replay the flight from 3 s before this moment"
+          testId="score-moment"
+          onPress={() => station.replayMoment(score.flight, time_s)}
+        />
+      ))}
     </div>
   );
-}
-
-/** Render a button for each moment, which replays the flight from shortly before the moment. */
-function Replays({ moments, flight, testId }: { moments: readonly ScoreMoment[]; flight: number; testId: string }) {
-  const station = useStation();
-  return moments.map(({ time_s, words }) => (
-    <Act
-      key={`${time_s} ${words}`}
-      icon="play"
-      label={`${clock(time_s)} ${words}`}
-      words="Replay the flight from 3 s before this moment"
-      testId={testId}
-      onPress={() => station.replayMoment(flight, time_s)}
-    />
-  ));
 }

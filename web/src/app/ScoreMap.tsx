@@ -1,7 +1,7 @@
 /** Map of the airways and timeline of the score screen. */
 
 import { clock } from "../state/playing";
-import { mapBox, mapLines, spread, timeColour, visitText } from "../state/score-map";
+import { mapBox, mapLines, replayMarks, spread, timeColour, visitText } from "../state/score-map";
 import type { FlightScore, TimelineMark } from "../wire/messages";
 import { useApp, useStation } from "./context";
 
@@ -48,8 +48,9 @@ export function Timeline({ score }: { score: FlightScore }) {
   const station = useStation();
   const { clock_start_s: startS, clock_end_s: endS } = score;
   const share = (atS: number) => Math.min(Math.max((atS - startS) / Math.max(endS - startS, 1e-6), 0), 1);
+  const replays = replayMarks(score);
   const places = spread(
-    score.moments.map(({ time_s }) => share(time_s)),
+    replays.map(({ time_s }) => share(time_s)),
     MOMENT_SHARE,
   );
   return (
@@ -64,23 +65,28 @@ export function Timeline({ score }: { score: FlightScore }) {
             title={`${clock(atS)} ${MARK_WORDS[kind]}: ${name}`}
           />
         ))}
-        {score.moments.map(({ time_s, words }, n) => (
+        {replays.map(({ time_s, words, label, isHighError }, n) => (
           <button
-            key={`${time_s} ${words}`}
+            key={label}
             type="button"
             className="timeline-moment"
+            data-testid={isHighError ? "high-error-moment" : undefined}
             style={{ left: `${100 * (places[n] ?? 0)}%` }}
             title={`${clock(time_s)} ${words}`}
             aria-label={`Replay from 3 s before ${clock(time_s)}: ${words}`}
             onClick={() => station.replayMoment(score.flight, time_s)}
           >
-            {n + 1}
+            {label}
           </button>
         ))}
       </div>
       <figcaption className="quiet numbers">
         <span>0:00</span>
-        <span>above: seen; below: contacts, wrong branches; numbers: replay</span>
+        <span>
+          {score.comparison_moments.length === 0
+            ? "above: seen; below: contacts, wrong branches; numbers: replay"
+            : "above: seen; below: faults; replay: numbers, letters (high-error events)"}
+        </span>
         <span>{clock(endS - startS)}</span>
       </figcaption>
     </figure>

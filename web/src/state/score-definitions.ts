@@ -73,6 +73,6 @@ export const SCORE_DEFINITIONS: readonly Definition[] = [
     words:
       "Periods of at least 0.5 s with a deviation of more than 5 mm; periods less than 0.5 s apart are joined first " +
       "(number of high-error events: Deng, ICRA 2026, whose limits were not read; these limits are Carina's). No " +
-      "threshold is published, and no pass mark. Up to three with the largest deviations can be replayed.",
+      "threshold is published, and no pass mark. The letters on the timeline replay the three with the largest deviations.",
   },
 ];

@@ -1,6 +1,6 @@
 /** Map of the airways on the score screen: branches of segments coloured by the time at which the segment was seen. */
 
-import type { FlightScore, SegmentVisit } from "../wire/messages";
+import type { FlightScore, ScoreMoment, SegmentVisit } from "../wire/messages";
 import type { BranchNode, BranchTree } from "./branch-tree";
 
 /** Line of a branch on the map. */
@@ -61,6 +61,21 @@ export function visitText({ name, seen_s: seenS, entered }: SegmentVisit, clock:
   return seenS === null
     ? `${name}: not seen`
     : `${name}: ${entered ? "entered" : "seen from outside"}, ${clock(seenS)}`;
+}
+
+/** Moment of a flight that a button on the timeline replays. */
+export interface ReplayMark extends ScoreMoment {
+  /** Number of a fault, or letter of a high-error event. */
+  readonly label: string;
+  readonly isHighError: boolean;
+}
+
+/** Return the buttons of the timeline: the faults with numbers, then the high-error events with letters. */
+export function replayMarks({ moments, comparison_moments }: FlightScore): readonly ReplayMark[] {
+  return [
+    ...moments.map((one, n) => ({ ...one, label: String(n + 1), isHighError: false })),
+    ...comparison_moments.map((one, n) => ({ ...one, label: String.fromCharCode(65 + n), isHighError: true })),
+  ];
 }
 
 /** Return positions on a line, 0 to 1, moved apart so that neighbours differ by at least `least`; in the given order. */
