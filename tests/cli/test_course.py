@@ -50,3 +50,24 @@ def test_unknown_learner_and_options_without_effect_are_refused(carina, learners
     assert "learner: expected one of Blue heron; found 'Nobody'" in unknown.err
     assert carina("course", "--delete").code == 2
     assert carina("course", "Blue heron", "--yes").code == 2
+
+
+def test_learner_is_added_under_a_pseudonym(carina, learners):
+    added = carina("course", "  Grey   owl ", "--add")
+    assert added.code == 0
+    assert "added Grey owl" in added.err
+    assert "Grey owl: 0 attempts" in added.out
+    assert [one.name for one in learners.learners()] == ["Blue heron", "Grey owl"]
+    found = json.loads(carina("course", "Teal", "--add", "--json").out)
+    assert (found["name"], found["attempts"]) == ("Teal", [])
+
+
+def test_second_learner_of_a_name_and_options_without_effect_on_a_new_learner_are_refused(carina, learners, tmp_path):
+    assert carina("course", "blue heron", "--add").code == 2
+    assert carina("course", "x" * 41, "--add").code == 2
+    assert carina("course", "--add").code == 2
+    for option in (["--delete", "--yes"], ["--export", tmp_path / "out"]):
+        refused = carina("course", "Grey owl", "--add", *option)
+        assert refused.code == 2
+        assert "only applies to a learner who is not new" in refused.err
+    assert [one.name for one in learners.learners()] == ["Blue heron"]

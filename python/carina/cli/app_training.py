@@ -92,6 +92,9 @@ def course(
     learner: Annotated[
         str | None, typer.Argument(help="Pseudonym of a learner. Default: all learners of this machine.")
     ] = None,
+    add: Annotated[
+        bool, typer.Option("--add", help="Add a learner with this pseudonym; do not use a real name.")
+    ] = False,
     export: Annotated[
         Path | None,
         typer.Option("--export", help="Folder for the attempts: attempts.csv, and xAPI statements in xapi.json."),
@@ -102,16 +105,18 @@ def course(
     yes: Annotated[bool, typer.Option("--yes", help="Do not ask for confirmation of the deletion.")] = False,
     as_json: JsonOption = False,
 ) -> None:
-    """List the learners of this machine; print, export or delete the attempts of one.
+    """List the learners of this machine; add one; print, export or delete the attempts of one.
 
     Example: carina course
+
+    Example: carina course "Blue heron" --add
 
     Example: carina course "Blue heron" --export blue-heron/
     """
     with exit_codes(as_json):
         from carina.cli.course import report
 
-        raise SystemExit(report(learner, export=export, delete=delete, yes=yes, as_json=as_json))
+        raise SystemExit(report(learner, add=add, export=export, delete=delete, yes=yes, as_json=as_json))
 
 
 def insert(

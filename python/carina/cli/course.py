@@ -1,4 +1,4 @@
-"""``carina course``: the learners of this machine, their attempts, export and deletion."""
+"""``carina course``: the learners of this machine, a new learner, their attempts, export and deletion."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from carina.errors import UsageError
 from carina.training import Course, Learner
 
 
-def report(learner: str | None, *, export: Path | None, delete: bool, yes: bool, as_json: bool) -> int:
-    """Print the learners or the attempts of one; export or delete the attempts of one."""
+def report(learner: str | None, *, add: bool, export: Path | None, delete: bool, yes: bool, as_json: bool) -> int:
+    """Print the learners or the attempts of one; add a learner; export or delete the attempts of one."""
     course = Course(load_settings().learners_dir)
     if learner is None:
-        check_needs("a learner", export=export, delete=delete or None, yes=yes or None)
+        check_needs("a learner", add=add or None, export=export, delete=delete or None, yes=yes or None)
         learners = course.learners()
         for problem in course.problems():
             print_note(problem)
@@ -29,7 +29,11 @@ def report(learner: str | None, *, export: Path | None, delete: bool, yes: bool,
         return 0
     if not delete:
         check_needs("a deletion (--delete)", yes=yes or None)
-    found = course.learner(learner)
+    if add:
+        check_needs("a learner who is not new (without --add)", export=export, delete=delete or None)
+    found = course.add(learner) if add else course.learner(learner)
+    if add:
+        print_note(f"added {found.name}")
     if delete and not yes and not _is_confirmed(found, as_json=as_json):
         return 0
     if export is not None:
