@@ -8,7 +8,12 @@ of the first ten cases, 50 in all. ``--json FILE`` stores each case when it is f
 after the last stored case. ``--first`` selects another part of the cases, so that several processes share them;
 ``--summarise FILE ...`` prints the ranking of their files.
 
-The drivers are scripts, not people: their speeds, pauses and mistakes are assumptions of this file.
+The drivers are scripts, not people: their speeds, pauses and mistakes are assumptions of this file. Speeds, holds,
+waits and the order of the segments of the novice and the experienced driver were calibrated on phantoms 20 to 29,
+which are not ranked, to the medians of the novices and of the experienced people in the BronchoBot study (Cold 2025),
+and not to a probability. The study was read only in an excerpt with these medians, so the spread between flights of a
+class is an assumption, on which each probability depends. The optimal driver is not calibrated, because it must reach
+mastery in less than 120 s. The output prints the medians beside the published ones.
 """
 
 from __future__ import annotations
@@ -18,7 +23,7 @@ import io
 import json
 import sys
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -31,7 +36,7 @@ from carina.navigate.recording import read_recording
 from carina.phantom import generate_phantom
 from carina.scopes import WallField
 from carina.track import AirwayTree
-from carina.training import SEGMENTS, Score, find_task, flight_frames, score_flight, segments_of_case
+from carina.training import REFERENCE_GROUPS, SEGMENTS, Score, find_task, flight_frames, score_flight, segments_of_case
 from carina.training.openings_in_sight import branch_openings, openings_in_sight
 from carina.volume import Volume
 
@@ -61,6 +66,11 @@ class _Measure:
 
 
 _NOVICES = (("optimal", "experienced"), ("experienced", "novice"), ("optimal", "novice"), ("optimal", "random"))
+PUBLISHED_AS = {"novice": "novices (10)", "experienced": "experienced (10)", "optimal": "autonomous robot"}
+"""Published group of each driver whose medians are printed beside those of the group."""
+MEDIANS = (("diagnostic_completeness", "DC", 1), ("structured_progress", "SP", 1), ("procedure_time_s", "PT s", 0),
+           ("mean_intersegmental_time_s", "MIT s", 1))  # fmt: skip
+"""Published scores, with their short names and the decimals of their medians."""
 GAPS: tuple[_Measure, ...] = (
     _Measure(
         "diagnostic_completeness", True, (*_NOVICES[1:], ("experienced", "random")), "BronchoBot study, Cold 2025"
@@ -163,21 +173,33 @@ def _inspect(script: Any, case: TrainingCase, name: str, **options: float) -> No
 
 def _experienced(script: Any, case: TrainingCase, rng: np.random.Generator) -> None:
     """Inspect the segments lobe by lobe, the lobes in a random order, without the two of the middle lobe or lingula."""
-    lobes = [one for one in LOBES if one != LOBES[1 if rng.random() < 0.5 else 4]]
+    left_out = LOBES[1 if rng.random() < 0.5 else 4]
+    lobes = [one for one in LOBES if one != left_out]
     for number in rng.permutation(len(lobes)):
-        for name in lobes[int(number)]:
+        lobe = lobes[int(number)]
+        for name in lobe if rng.random() < EXPERIENCED_ORDER else _shuffled(lobe, rng):
             if name in case.parts:
                 _inspect(script, case, name)
 
 
+def _shuffled(names: Sequence[str], rng: np.random.Generator) -> list[str]:
+    """Return names in a random order."""
+    return [names[int(number)] for number in rng.permutation(len(names))]
+
+
+EXPERIENCED_ORDER = 0.5
+"""Probability that the experienced driver inspects the segments of a lobe in ascending order."""
+NOVICE_WAITS_S = 8.0, 26.0
+"""Shortest and longest wait of the novice in a segment, s."""
+
+
 def _novice(script: Any, case: TrainingCase, rng: np.random.Generator) -> None:
-    """Enter the segments of half of the lobes in a random order, slowly, with an unsteady view, and return to some."""
+    """Enter the segments of half of the lobes, lobe by lobe, with an unsteady view, and return to two or three."""
     lobes = [LOBES[int(number)] for number in rng.permutation(len(LOBES))[: len(LOBES) // 2]]
-    some = [name for lobe in lobes for name in lobe if name in case.parts]
-    order = [some[int(number)] for number in rng.permutation(len(some))]
-    for name in (*order, *order[: int(rng.integers(2, 4))]):
+    order = [name for lobe in lobes for name in _shuffled(lobe, rng) if name in case.parts]
+    for name in (*order, *_shuffled(order, rng)[: int(rng.integers(2, 4))]):
         script.enter(case.parts[name][0])
-        script.wait(float(rng.uniform(2.0, 6.0)))
+        script.wait(float(rng.uniform(*NOVICE_WAITS_S)))
     _sway(script.poses, rng)
 
 
@@ -214,10 +236,10 @@ def _at_the_wall(pose: np.ndarray, wall: WallField) -> np.ndarray:
 
 
 HUMAN_MM_S = 20.0
-"""Speed in mm/s of the slow optimal drive: 18 segments in about the time of the robot of the BronchoBot study."""
+"""Speed in mm/s of the slow optimal drive."""
 CLASSES: dict[str, tuple[Callable[[Any, TrainingCase, np.random.Generator], None], dict[str, float]]] = {
     "optimal": (_optimal, {"speed_mm_s": 60.0, "hold_s": 1.2}),
-    "experienced": (_experienced, {"speed_mm_s": 30.0, "hold_s": 2.5}),
+    "experienced": (_experienced, {"speed_mm_s": 20.0, "hold_s": 10.2}),
     "novice": (_novice, {"speed_mm_s": 18.0, "hold_s": 3.0}),
     "wall-hugging": (_wall_hugging, {"speed_mm_s": 40.0, "hold_s": 1.5}),
 }
@@ -382,6 +404,7 @@ def _print_summary(flights: list[_Flight]) -> None:
         )
     compared = [one for one in flights if one.agrees is not None]
     print(f"recordings scored equally by both scorers: {sum(not one.agrees for one in compared)} of {len(compared)}")
+    _print_medians(rows)
     ranks = _ranks(rows)
     for one in ranks:
         print(
@@ -395,6 +418,18 @@ def _print_summary(flights: list[_Flight]) -> None:
             [one[name] for one in rows[better]], [one[name] for one in rows[worse]], more_is_better=more[name]
         )
         print(f"not judged: {name} {better} before {worse} {chance:.3f}  ({reason})")
+
+
+def _print_medians(rows: dict[str, list[dict[str, float]]]) -> None:
+    """Print the medians of the published scores of each class beside those of its group."""
+    groups = {one.group: one for one in REFERENCE_GROUPS}
+    for driver, group in PUBLISHED_AS.items():
+        texts = [
+            f"{short} {np.median([one[name] for one in rows[driver]]):.{decimals}f} ({getattr(groups[group], name):g})"
+            for name, short, decimals in MEDIANS
+        ]
+        remark = "; not calibrated" if driver == "optimal" else ""
+        print(f"medians of {driver} (published: {group}){remark}: {', '.join(texts)}")
 
 
 def _ranks(rows: dict[str, list[dict[str, float]]]) -> list[dict[str, Any]]:
