@@ -293,9 +293,7 @@ function AirwayTools() {
       <SwitchKey
         icon="round"
         short={outline === "octagon" ? "Octagon" : "Round"}
-        words={
-          outline === "octagon" ? "Octagonal image, as through this scope" : "Round image, as through a bronchoscope"
-        }
+        words={outline === "octagon" ? "Octagon: the image of this scope" : "Round image, as through a bronchoscope"}
         keys={keyOf("toggle_shape")}
         on={outline !== "none"}
         onChange={() => station.act("toggle_shape")}

@@ -87,7 +87,7 @@ export function BranchList() {
   );
   if (tree === null) {
     return (
-      <section className="branches" aria-label="Airways">
+      <section className="branches" aria-label="List of branches">
         <ListHead />
         <p className="empty">{sentence(words)}</p>
         {failed ? (
@@ -122,7 +122,7 @@ export function BranchList() {
   const count =
     filtered === null ? plural(tree.byId.size, "branch", "branches") : plural(filtered.hits.length, "match", "matches");
   return (
-    <section className="branches" aria-label="Airways">
+    <section className="branches" aria-label="List of branches">
       <ListHead>
         <ListToolTag /> <span className="quiet numbers">{count}</span>
       </ListHead>

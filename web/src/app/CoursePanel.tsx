@@ -13,7 +13,6 @@ import {
   Popover,
   Select,
   SelectValue,
-  Text,
   TextField,
 } from "react-aria-components";
 import { keyOf } from "../input/keymap";
@@ -81,15 +80,15 @@ function LearnerSelect({ course }: { course: CourseInfo }) {
       <Popover className="popover" offset={4}>
         <ListBox className="listbox">
           <ListBoxItem id={NOBODY} textValue="Nobody" className="listbox-item">
-            <Text slot="label">Nobody</Text>
-            <Text slot="description">scores are not stored</Text>
+            <span>Nobody</span>
+            <span className="item-words">scores are not stored</span>
           </ListBoxItem>
           {course.learners.map(({ name, num_attempts: num }) => (
             <ListBoxItem key={name} id={name} textValue={name} className="listbox-item">
-              <Text slot="label">{name}</Text>
-              <Text slot="description" className="numbers">
+              <span>{name}</span>
+              <span className="item-words numbers">
                 {num} {num === 1 ? "attempt" : "attempts"}
-              </Text>
+              </span>
             </ListBoxItem>
           ))}
         </ListBox>

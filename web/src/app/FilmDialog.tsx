@@ -107,7 +107,7 @@ function Options({ flight }: { flight: FilmFlight }) {
         )}
         <span className="film-label">Captions</span>
         <SwitchKey
-          name="Captions"
+          name={`Captions: ${choice.captions ? "on" : "off"}`}
           label={choice.captions ? "On" : "Off"}
           words={namesTurns ? "Time, branch, depth, and the next turn with its clock hour" : "Time, branch and depth"}
           on={choice.captions}

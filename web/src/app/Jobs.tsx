@@ -21,16 +21,17 @@ export function ThinProgress({ title, what, fraction, secondsLeft, onCancel }: T
   // cancelled.
   const [isCancelling, setCancelling] = useState(false);
   return (
-    <ProgressBar
-      className="job"
-      aria-label={title}
-      value={fraction ?? 0}
-      maxValue={1}
-      isIndeterminate={fraction === null}
-    >
-      <div className="job-bar">
+    // biome-ignore lint/a11y/useSemanticElements: a field set is for the fields of a form
+    <div className="job" role="group" aria-label={title}>
+      <ProgressBar
+        className="job-bar"
+        aria-label={title}
+        value={fraction ?? 0}
+        maxValue={1}
+        isIndeterminate={fraction === null}
+      >
         <div className={fraction === null ? "unknown" : ""} style={{ width: `${100 * (fraction ?? 1)}%` }} />
-      </div>
+      </ProgressBar>
       <div className="job-words">
         <span>
           {sentence(title)}
@@ -51,7 +52,7 @@ export function ThinProgress({ title, what, fraction, secondsLeft, onCancel }: T
           }}
         />
       </div>
-    </ProgressBar>
+    </div>
   );
 }
 

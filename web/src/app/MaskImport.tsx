@@ -100,14 +100,14 @@ export function DropChoice() {
     </div>
   );
   return (
-    <div className="drop-choice">
+    <section className="drop-choice" aria-label="Use of the dropped files">
       {place("mask", "Use for the airways of this scan", "a segmentation: NIfTI, NRRD, MetaImage, DICOM SEG")}
       {place(
         "case",
         "Open as another case",
         "a CT (a DICOM series, an archive, NIfTI, NRRD, MetaImage or VTI) or a Carina case",
       )}
-    </div>
+    </section>
   );
 }
 

@@ -25,7 +25,7 @@ export function PathBar() {
   const watches = useApp((state) => state.watches);
   if (route === null) {
     return (
-      <section className="path-bar" aria-label="Route">
+      <section className="path-bar" aria-label="Ruler of the route">
         <p className="empty">
           {stage === "found"
             ? "No route yet. Choose a branch in the list, or mark a target (N, then click in a slice). The route to it appears here."
@@ -37,7 +37,7 @@ export function PathBar() {
   // Each element that follows the tip is a separate component, so that a new pose does not render the whole ruler
   // again.
   return (
-    <section className="path-bar" aria-label="Route" inert={watches}>
+    <section className="path-bar" aria-label="Ruler of the route" inert={watches}>
       <Act
         kind="icon"
         icon="previousFork"

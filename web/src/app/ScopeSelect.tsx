@@ -1,6 +1,6 @@
 /** Selection of the instrument: its optics show the airway view, and the plans of all targets use it. */
 
-import { Button, ListBox, ListBoxItem, Popover, Select, SelectValue, Text } from "react-aria-components";
+import { Button, ListBox, ListBoxItem, Popover, Select, SelectValue } from "react-aria-components";
 import { fixed } from "../state/format";
 import { trainingLayout } from "../state/training";
 import type { Scope } from "../wire/messages";
@@ -60,15 +60,13 @@ export function ScopeSelect() {
         <ListBox className="listbox scopes">
           {scopes.map((scope) => (
             <ListBoxItem key={scope.name} id={scope.name} textValue={scope.title} className="listbox-item">
-              <Text slot="label">{scope.title}</Text>
-              <Text slot="description" className="numbers">
-                {sizeText(scope)}
-              </Text>
+              <span>{scope.title}</span>
+              <span className="item-words numbers">{sizeText(scope)}</span>
             </ListBoxItem>
           ))}
           <ListBoxItem id={NO_SCOPE} textValue="No scope" className="listbox-item">
-            <Text slot="label">No scope</Text>
-            <Text slot="description">pinhole</Text>
+            <span>No scope</span>
+            <span className="item-words">pinhole</span>
           </ListBoxItem>
         </ListBox>
       </Popover>

@@ -73,7 +73,7 @@ export function Timeline({ score }: { score: FlightScore }) {
             data-testid={isHighError ? "high-error-moment" : undefined}
             style={{ left: `${100 * (places[n] ?? 0)}%` }}
             title={`${clock(time_s)} ${words}`}
-            aria-label={`Replay from 3 s before ${clock(time_s)}: ${words}`}
+            aria-label={`${label}: replay from 3 s before ${clock(time_s)}: ${words}`}
             onClick={() => station.replayMoment(score.flight, time_s)}
           >
             {label}

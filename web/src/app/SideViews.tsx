@@ -57,7 +57,7 @@ function CellTools({ cell, view, isFull }: { cell: SideCell; view: ViewName; isF
         kind="icon"
         icon="swap"
         short="Switch"
-        words={`Show the ${next.words} here`}
+        words={`Switch to the ${next.words}`}
         keys={keyOf(action)}
         onPress={() => station.act(action)}
       />

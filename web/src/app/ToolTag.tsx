@@ -52,7 +52,7 @@ function Tag({ armed, works, where }: { armed: Armed; works: boolean; where: "pi
       data-testid="tool-tag"
       data-works={works}
       data-takes={takesAway(armed) || undefined}
-      aria-label={`Cancel ${label} (Esc)`}
+      aria-label={`${shortOf(armed)}${works ? "" : " not in this view"}: cancel ${label} (Esc)`}
       excludeFromTabOrder
       onPress={() => station.disarm()}
     >

@@ -13,11 +13,12 @@ export function WatcherPanel() {
   return (
     <section className="step-panel" aria-label="You are watching" data-testid="watcher-panel">
       <h2>You are watching</h2>
-      <div className="step-body">
+      {/* biome-ignore lint/a11y/noNoninteractiveTabindex: the keyboard scrolls the scores of a class */}
+      <section className="step-body" aria-label="Training that you watch" tabIndex={0}>
         <p>The views follow the person at the workstation. You cannot change anything in the case.</p>
         <p className="quiet">You can scroll, zoom and pan the slices freely: this changes only your own view.</p>
         <WatchedTraining />
-      </div>
+      </section>
     </section>
   );
 }

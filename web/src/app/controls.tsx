@@ -57,6 +57,15 @@ export function useKeysBack() {
   };
 }
 
+/**
+ * Return the accessible name of a button: its description, after the word beside its icon if the description does not
+ * contain that word. Speech control presses a button by the text that is visible on it.
+ */
+export function buttonName(words: string, short: string | undefined): string {
+  if (short === undefined || new RegExp(`\\b${short}\\b`, "i").test(words)) return words;
+  return `${short}: ${words}`;
+}
+
 interface ActProps {
   words: string;
   keys?: string;
@@ -72,7 +81,7 @@ interface ActProps {
 
 /** Render a button with a tooltip. */
 export function Act({ words, keys, icon, label, short, kind = "plain", disabled = false, testId, onPress }: ActProps) {
-  const name = typeof label === "string" ? {} : { "aria-label": words };
+  const name = typeof label === "string" ? {} : { "aria-label": buttonName(words, short) };
   return (
     <Tip words={words} keys={keys}>
       <Button
@@ -125,7 +134,7 @@ export function SwitchKey({
     <Tip words={words} keys={keys}>
       <ToggleButton
         className={label === undefined ? "button icon toggle" : "button toggle"}
-        aria-label={name ?? (label === undefined ? words : undefined)}
+        aria-label={name ?? (label === undefined ? buttonName(words, short) : undefined)}
         isSelected={on}
         isDisabled={disabled}
         data-testid={testId}
