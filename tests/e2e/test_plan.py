@@ -23,6 +23,10 @@ OUTSIDE = """() => ['plan-answer', 'answer-reach', 'answer-needle', 'answer-vess
 })"""
 """Script that returns the parts of the answer that are missing, covered or outside the window."""
 
+CROSSHAIR = """() => window.__carina.state.session.sight.crosshair_lps
+    ?? [3, 7, 11].map((n) => window.__carina.state.pose.lps_from_camera[n])"""
+"""Script that returns the point where the slices intersect, LPS mm."""
+
 
 @pytest.fixture
 def opens(shared_chest):
@@ -122,6 +126,57 @@ def test_plan_is_printed_six_clicks_after_opening_the_ct_with_the_answer_on_the_
     assert reasons and [one.strip() for one in page.get_by_test_id("reason").all_inner_texts()] == reasons
     assert [" ".join(one.split()) for one in listed] == reasons
     assert len(document["verdicts"]) == len(workstation.state("plans.verdicts"))
+    assert workstation.faults == []
+
+
+def tab_to(page, selector: str) -> None:
+    """Press Tab until an element, or a part of it, has the focus."""
+    for _ in range(300):
+        if page.evaluate("(wanted) => document.activeElement.closest(wanted) !== null", selector):
+            return
+        page.keyboard.press("Tab")
+    raise AssertionError(f"Tab does not reach {selector}")
+
+
+def move_crosshair_by_keys(workstation, lps) -> None:
+    """Move the crosshair of the focused axial slice to a point, in steps of slices and of 1 mm."""
+    page = workstation.page
+    for axis, back, ahead in (
+        (2, "PageDown", "PageUp"),
+        (0, "Shift+ArrowLeft", "Shift+ArrowRight"),
+        (1, "Shift+ArrowUp", "Shift+ArrowDown"),
+    ):
+        start = page.evaluate(CROSSHAIR)[axis]
+        key = ahead if start < lps[axis] else back
+        page.keyboard.press(key)
+        workstation.wait_for(f"([axis, start]) => ({CROSSHAIR})()[axis] !== start", [axis, start])
+        here = page.evaluate(CROSSHAIR)[axis]
+        for _ in range(round(abs(lps[axis] - here) / abs(here - start))):
+            page.keyboard.press(key)
+        workstation.wait_for(f"([axis, wanted]) => Math.abs(({CROSSHAIR})()[axis] - wanted) <= 0.7", [axis, lps[axis]])
+
+
+def test_keyboard_alone_leads_from_the_opened_ct_to_the_printed_plan(server, workstation):
+    workstation.page.set_viewport_size(SMALL)
+    workstation.open(server)
+    workstation.wait_ready()
+    page, truth = workstation.page, cached_phantom(**CHEST).truth["nodule"]
+    page.keyboard.press("n")
+    tab_to(page, ".picture-host:has([data-view=axial])")
+    move_crosshair_by_keys(workstation, truth["centre_lps"])
+    page.keyboard.press("Enter")
+    workstation.wait_for("window.__carina.state.plans.targets[0]?.routes.length > 0")
+    tab_to(page, "[data-testid=answer-take-route]")
+    workstation.picture("plan-by-keyboard")
+    page.keyboard.press("Enter")
+    workstation.wait_while_working("window.__carina.state.plans.verdicts_standing === 'had'")
+    tab_to(page, "[data-testid=print-plan]")
+    with page.context.expect_page() as opened:
+        page.keyboard.press("Enter")
+    report = opened.value
+    report.wait_for_load_state("load")
+    assert report.locator("#against li").count() == page.get_by_test_id("reason").count()
+    report.close()
     assert workstation.faults == []
 
 
