@@ -9,7 +9,7 @@ import time
 
 import pytest
 from server_process import start_server, stop_server
-from workstation import PICTURE_MS
+from workstation import PICTURE_MS, assert_accessible
 
 from cached_test_data import cached_phantom
 from carina.case import CaseFile
@@ -138,6 +138,7 @@ def test_named_file_changed_by_another_program_is_written_only_after_a_choice(se
     assert "not a Carina case" in conflict.inner_text()
     assert page.get_by_test_id("open-theirs").count() == 0, "it is not a case"
     workstation.picture("save-conflict")
+    assert_accessible(workstation.page, "save-conflict")
     page.get_by_test_id("save-beside").click()
     page.get_by_test_id("saved").filter(has_text="copy from").wait_for()
     assert workstation.state("session.saving.copy_name") == "team (2).carina"

@@ -1,10 +1,11 @@
-"""Tests of all controls of the window: height of rows and buttons, and contrast of texts."""
+"""Tests of all controls of the window: height of rows and buttons, contrast of texts, and rules of accessibility."""
 
 from __future__ import annotations
 
 import pytest
 from test_plan import CHEST
 from test_target_and_plan_display import mark_nodule
+from workstation import assert_accessible
 
 pytestmark = pytest.mark.browser
 
@@ -67,6 +68,7 @@ def assert_controls(workstation, state: str) -> None:
     workstation.refreshes(2)
     assert workstation.page.evaluate(SMALL, 23.9) == [], state
     assert workstation.page.evaluate(PALE, 4.5) == [], state
+    assert_accessible(workstation.page, state)
 
 
 @pytest.mark.parametrize("size", [(1280, 720), (1920, 1080)])

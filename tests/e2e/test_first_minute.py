@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from workstation import open_page
+from workstation import assert_accessible, open_page
 
 from cached_test_data import cached_phantom
 
@@ -107,6 +107,7 @@ def test_start_page_lists_nodules_and_a_closed_browser_opens_the_same_link_again
         recent.wait_for()
         assert "1 nodule" in recent.inner_text()
         other.picture("start-page")
+        assert_accessible(other.page, "start-page")
     finally:
         if has_failed():
             other.failed(request.node.name)

@@ -59,7 +59,7 @@ def test_computation_of_vessel_and_lobe_layers_is_stopped_and_repeated_and_layer
     workstation.wait_for("window.__carina.state.jobs.some((job) => job.what === 'looking for vessels')")
     workstation.wait_for("window.__carina.state.lungs.standing === 'making'")
     assert ask.is_disabled()
-    job = page.get_by_role("progressbar", name="mapping the structures around the target")
+    job = page.get_by_role("group", name="mapping the structures around the target")
     # The message appears at once and disappears with the job, possibly between two checks of the test, so the page
     # records it.
     page.evaluate(

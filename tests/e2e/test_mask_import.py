@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import SimpleITK as sitk
 from playwright.sync_api import expect
+from workstation import assert_accessible
 
 from carina.phantom import demo_phantom
 
@@ -64,6 +65,7 @@ def drop(workstation, path, place):
     middle = (box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
     at("dragOver", *middle)
     workstation.picture("mask-dragged")
+    assert_accessible(workstation.page, "mask-dragged")
     at("drop", *middle)
     link.detach()
 

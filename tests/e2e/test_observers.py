@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from workstation import PICTURE_MS, SIZE, Workstation, picture_of
+from workstation import PICTURE_MS, SIZE, Workstation, assert_accessible, picture_of
 
 pytestmark = pytest.mark.browser
 
@@ -67,6 +67,7 @@ def test_observer_sees_the_flight_without_control_until_sharing_ends(server, wor
     assert watcher.page.get_by_test_id("watcher-panel").is_visible()
     assert watcher.page.get_by_test_id("open-devices").count() == 0
     picture_of(watcher.page, "watching-watcher")
+    assert_accessible(watcher.page, "watching-watcher")
 
     page.get_by_role("button", name="Disconnect").click()
     watcher.page.get_by_text("has disconnected you").wait_for()

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 from server_process import Server, start_server, stop_server
+from workstation import assert_accessible
 
 pytestmark = pytest.mark.browser
 
@@ -95,6 +96,7 @@ def test_question_mark_opens_the_keyboard_card_and_escape_closes_it(server, work
     workstation.page.keyboard.press("?")
     workstation.page.wait_for_selector("[role=dialog]")
     workstation.picture("keyboard-card")
+    assert_accessible(workstation.page, "keyboard-card")
     workstation.page.keyboard.press("Escape")
     workstation.page.wait_for_selector("[role=dialog]", state="detached")
     assert workstation.faults == []

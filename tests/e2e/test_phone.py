@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 
 import pytest
-from workstation import PICTURE_MS, pass_in, picture_of
+from workstation import PICTURE_MS, assert_accessible, pass_in, picture_of
 
 pytestmark = pytest.mark.browser
 pytest.importorskip("cryptography")
@@ -116,6 +116,7 @@ def test_phone_turns_and_advances_the_tip_also_after_a_lost_connection(server, w
     workstation.page.wait_for_selector("[data-testid=device][data-holds]")
     phone.says("moves the tip")
     picture_of(phone.page, "phone-held")
+    assert_accessible(phone.page, "phone-held")
     # The direction of the movement is expressed in the axes of the earlier view.
     right = " + ".join(f"{before[4 * n]} * window.__carina.state.pose.lps_from_camera[{4 * n + 2}]" for n in range(3))
     workstation.page.wait_for_function(f"() => {right} > 0.2")

@@ -9,7 +9,7 @@ import subprocess
 
 import numpy as np
 import pytest
-from workstation import OUT
+from workstation import OUT, assert_accessible
 
 from carina.render import read_png_pose
 
@@ -127,6 +127,7 @@ def test_video_of_a_short_route_is_saved_and_played_by_other_programs(opened, tm
         page.keyboard.press("Shift+V")
         page.get_by_test_id("film-dialog").wait_for()
         opened.picture(f"film-dialog-{width}")
+        assert_accessible(opened.page, "film-dialog")
         page.keyboard.press("Escape")
         page.get_by_test_id("film-dialog").wait_for(state="detached")
     page.keyboard.press("Shift+V")

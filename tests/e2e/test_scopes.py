@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 import pytest
+from workstation import assert_accessible
 
 pytestmark = pytest.mark.browser
 
@@ -52,6 +53,7 @@ def test_selecting_a_scope_changes_the_airway_picture_and_is_undone(server, work
     workstation.page.get_by_test_id("scope").click()
     workstation.page.get_by_role("option").first.wait_for()
     workstation.picture("scope-menu")
+    assert_accessible(workstation.page, "scope-menu")
     workstation.page.keyboard.press("Escape")
     # Wait until the canvas has its final size.
     workstation.wait_still()

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from page_positions import show_slices_at
 from test_plan import place_in_slice
+from workstation import assert_accessible
 
 import carina
 from cached_test_data import cached_phantom
@@ -54,6 +55,7 @@ def test_doubtful_target_is_planned_only_after_the_user_confirms_it(server, work
     assert "denser than soft tissue" in lesion.inner_text()
     assert workstation.state("plans.targets[0].routes") == []
     workstation.picture("target-doubt-question")
+    assert_accessible(workstation.page, "target-doubt-question")
     confirm.click()
     workstation.wait_for("window.__carina.state.plans.targets[0].routes.length > 0")
     assert confirm.count() == 0

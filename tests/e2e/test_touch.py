@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from page_positions import extent_mm, host, middle_lps, named, place_in_slice, place_on_tree, show_slices_at
 from test_control_sizes import SMALL
-from workstation import PICTURE_MS, Workstation, scroll_list_to
+from workstation import PICTURE_MS, Workstation, assert_accessible, scroll_list_to
 
 from cached_test_data import cached_phantom
 
@@ -128,6 +128,7 @@ def test_journey_by_fingers_reaches_a_printed_plan_on_a_tablet(tablet):
     page.get_by_test_id("arm-target").tap()
     tablet.wait_for("() => document.querySelector('.left-panel').getBoundingClientRect().height < 50")
     tablet.picture("touch-choosing")
+    assert_accessible(tablet.page, "touch-choosing")
     page.touchscreen.tap(*place_in_slice(tablet, "axial", [float(v) for v in centre]))
     page.get_by_test_id("answer-take-route").tap()
     page.get_by_test_id("print-plan").wait_for()

@@ -8,6 +8,7 @@ import zipfile
 
 import pypdf
 import pytest
+from workstation import assert_accessible
 
 pytestmark = pytest.mark.browser
 
@@ -116,6 +117,7 @@ def test_task_is_started_in_two_clicks_and_its_score_is_shown_and_printed(host, 
     page.get_by_test_id("quiz-number").wait_for()
     workstation.wait_still()
     workstation.picture("training-quiz")
+    assert_accessible(workstation.page, "training-quiz")
     assert page.locator(".reading").count() == 0
     page.get_by_test_id("quiz-choice").first.click()
     page.get_by_test_id("quiz-answer").get_by_text(re.compile(r"^(Right: |No: this is )")).wait_for()
@@ -146,6 +148,7 @@ def test_task_is_started_in_two_clicks_and_its_score_is_shown_and_printed(host, 
     page.get_by_test_id("compare-expert").click()
     page.get_by_test_id("comparison").wait_for(timeout=FLIGHT_MS)
     workstation.picture("training-comparison")
+    assert_accessible(workstation.page, "training-comparison")
     page.keyboard.press("Escape")
     dialog.wait_for(state="detached")
     page.get_by_role("button", name="Rehearse", exact=True).click()

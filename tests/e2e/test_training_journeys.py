@@ -15,7 +15,7 @@ from dataclasses import replace
 import pypdf
 import pytest
 from test_devices import HID_MOCK
-from workstation import PICTURE_MS, Workstation
+from workstation import PICTURE_MS, Workstation, assert_accessible
 
 from carina.training import find_task, task_to_json
 
@@ -103,6 +103,7 @@ def test_trainee_reaches_mastery_from_the_start_page(host, workstation, home):
         assert page.get_by_test_id("score-doubt").count() == 0
         if number == 5:
             workstation.picture("journey-mastery-score")
+            assert_accessible(workstation.page, "journey-mastery-score")
         close_score(page)
     workstation.wait_for("window.__carina.state.training.course.attempts.length === 6")
     page.get_by_test_id("open-course").click()
@@ -243,6 +244,7 @@ def test_touch_screen_flies_a_task_on_a_tablet(host, browser, home, workstation)
     end(page, click="tap")
     page.wait_for_timeout(100)
     tablet.picture("journey-touch-score")
+    assert_accessible(tablet.page, "journey-touch-score")
     assert tablet.faults == []
     context.close()
     host.close(running)

@@ -8,6 +8,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
+from accessibility import violations
 from playwright.sync_api import Error as PlaywrightError
 from playwright.sync_api import TimeoutError as PlaywrightTimeout
 from server_process import Server
@@ -542,9 +543,19 @@ def pass_in(page: Any, milliseconds: int) -> None:
 
 
 def picture_of(page: Any, name: str) -> None:
-    """Save a screenshot if ``CARINA_PICTURES`` is set: each takes half a second of a core."""
+    """Save a screenshot and check the rules of accessibility if ``CARINA_PICTURES`` is set.
+
+    Both take a second of a core. ``assert_accessible`` checks the most important states in every run.
+    """
     if os.environ.get("CARINA_PICTURES"):
         save_page(page, name)
+        assert_accessible(page, name)
+
+
+def assert_accessible(page: Any, state: str) -> None:
+    """Check a page against the rules of accessibility; ``state`` is part of the message."""
+    found = violations(page)
+    assert not found, "\n".join((state, *found))
 
 
 def save_page(page: Any, name: str) -> None:
