@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from carina.track import Airways, find_airways
 from carina.volume.model import Volume
 
 Tube = tuple[NDArray[np.float64], NDArray[np.float64], float]
@@ -34,6 +36,7 @@ def off_segment(points: NDArray[np.float64], a: NDArray[np.float64], b: NDArray[
     return np.linalg.norm(points - a - along[..., None] * (b - a), axis=-1)
 
 
+@cache
 def draw(
     *,
     axes: tuple[int, int, int] = (0, 1, 2),
@@ -98,3 +101,9 @@ def draw_chest() -> Callable[..., DrawnChest]:
 @pytest.fixture(scope="session")
 def chest() -> DrawnChest:
     return draw()
+
+
+@pytest.fixture(scope="session")
+def found(chest: DrawnChest) -> Airways:
+    """Return the airways of the synthetic chest by the search with default options, which runs once per worker."""
+    return find_airways(chest.volume)

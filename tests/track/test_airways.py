@@ -39,31 +39,28 @@ def test_branches_and_their_sides_are_found_correctly_for_any_storage_order(draw
     assert airways.root_lps[2] > chest.tubes[0][1][2] + 40.0
 
 
-def test_found_lumen_is_the_drawn_lumen_and_excludes_the_lung(chest):
-    airways = find_airways(chest.volume)
+def test_found_lumen_is_the_drawn_lumen_and_excludes_the_lung(chest, found):
     nz, ny, nx = chest.volume.shape_zyx
     k, j, i = np.meshgrid(np.arange(nz), np.arange(ny), np.arange(nx), indexing="ij")
     depth = chest.depth_mm(chest.volume.to_lps(np.stack([i, j, k], axis=-1)))
-    lumen = airways.lumen_zyx.astype(bool)
-    assert airways.lumen_zyx.dtype == np.uint8
-    assert not airways.lumen_zyx.flags.writeable
+    lumen = found.lumen_zyx.astype(bool)
+    assert found.lumen_zyx.dtype == np.uint8
+    assert not found.lumen_zyx.flags.writeable
     assert not (lumen & (depth > 0.8)).any()
     assert not (~lumen & (depth < -0.8)).any()
 
 
-def test_centreline_points_are_inside_the_lumen_and_children_start_at_the_end_of_their_parent(chest):
-    airways = find_airways(chest.volume)
-    for branch in airways.tree.branches:
-        assert airways.tracker.inside(branch.points).all()
+def test_centreline_points_are_inside_the_lumen_and_children_start_at_the_end_of_their_parent(found):
+    for branch in found.tree.branches:
+        assert found.tracker.inside(branch.points).all()
         assert branch.points.shape == (len(branch.radius), 3)
         if branch.parent is not None:
-            assert branch.points[0].tobytes() == airways.tree.branch(branch.parent).points[-1].tobytes()
+            assert branch.points[0].tobytes() == found.tree.branch(branch.parent).points[-1].tobytes()
 
 
-def test_routes_are_smooth_and_list_their_forks(chest):
-    tree = find_airways(chest.volume).tree
-    for tip in tree.tips():
-        route = tree.route_to(tip.id)
+def test_routes_are_smooth_and_list_their_forks(chest, found):
+    for tip in found.tree.tips():
+        route = found.tree.route_to(tip.id)
         assert len(route.forks_mm) == tip.generation == 2
         assert route.forks_mm == sorted(route.forks_mm)
         assert route.generation[0] == 0
@@ -131,20 +128,19 @@ def test_chest_whose_trachea_does_not_divide_is_refused_with_a_message(draw_ches
     assert "root" in str(caught.value)
 
 
-def test_trachea_with_one_main_bronchus_is_reported_with_a_note(draw_chest):
-    both = find_airways(draw_chest().volume)
-    assert not any("may not have been identified" in note for note in both.notes)
+def test_trachea_with_one_main_bronchus_is_reported_with_a_note(draw_chest, found):
+    assert not any("may not have been identified" in note for note in found.notes)
     one = find_airways(draw_chest(num_tubes=2).volume)
     assert any("only one main bronchus" in note for note in one.notes)
     # The roots of both searches agree to within one slice.
-    assert np.linalg.norm(one.root_lps - both.root_lps) < 3.0
+    assert np.linalg.norm(one.root_lps - found.root_lps) < 3.0
 
 
-def test_automatically_found_root_in_a_lower_bronchus_is_refused(chest):
+def test_automatically_found_root_in_a_lower_bronchus_is_refused(chest, found):
     # From a root in a segmental bronchus the paths to three ends in the lung first lead up, as from a wrongly detected
     # trachea.
     start, end, _ = chest.tubes[3]
-    lower = find_airways(chest.volume, lumen_zyx=find_airways(chest.volume).lumen_zyx, root_lps=0.2 * start + 0.8 * end)
+    lower = find_airways(chest.volume, lumen_zyx=found.lumen_zyx, root_lps=0.2 * start + 0.8 * end)
     assert lower.root_lps[2] < chest.tubes[0][1][2] - 20.0
     with pytest.raises(NoResultError, match="more distal bronchus"):
         refuse_a_root_below_the_carina(chest.volume, lower.tree.branches)
@@ -160,16 +156,15 @@ def test_volume_of_one_value_is_refused(rng):
         find_airways(noise)
 
 
-def test_search_with_an_imported_mask_uses_its_voxels_as_the_lumen(chest):
-    automatic = find_airways(chest.volume)
-    given = find_airways(chest.volume, lumen_zyx=automatic.lumen_zyx * np.uint8(7))
-    assert len(given.tree) == len(automatic.tree)
+def test_search_with_an_imported_mask_uses_its_voxels_as_the_lumen(chest, found):
+    given = find_airways(chest.volume, lumen_zyx=found.lumen_zyx * np.uint8(7))
+    assert len(given.tree) == len(found.tree)
     assert "RMB" in given.tree.names
     assert set(np.unique(given.lumen_zyx)) == {0, 1}
     with pytest.raises(GeometryError, match="shape"):
-        find_airways(chest.volume, lumen_zyx=automatic.lumen_zyx[1:])
+        find_airways(chest.volume, lumen_zyx=found.lumen_zyx[1:])
     with pytest.raises(NoResultError):
-        find_airways(chest.volume, lumen_zyx=np.zeros_like(automatic.lumen_zyx))
+        find_airways(chest.volume, lumen_zyx=np.zeros_like(found.lumen_zyx))
 
 
 def test_lumen_threshold_of_an_8_bit_volume_is_derived_from_its_histogram(chest):
@@ -238,24 +233,23 @@ def test_each_target_is_tracked_moved_into_the_lumen_or_refused_separately(chest
     assert {branch.name for branch in result.tree.branches if branch.generation < 2} == {"Trachea", "RMB", "LMB"}
 
 
-def test_paths_begin_at_a_given_start_in_the_trachea_or_a_bronchus(chest):
+def test_paths_begin_at_a_given_start_in_the_trachea_or_a_bronchus(chest, found):
     """Compare paths from three starts with the search, whose tree begins at the top of the trachea."""
     (top, end, _), tip = chest.tubes[0], chest.tubes[3][1]
-    whole = find_airways(chest.volume)
     middle = 0.5 * (top + end)
-    np.testing.assert_array_equal(find_airways(chest.volume, root_lps=middle).root_lps, whole.root_lps)
+    np.testing.assert_array_equal(find_airways(chest.volume, root_lps=middle).root_lps, found.root_lps)
     in_bronchus = 0.5 * (chest.tubes[1][0] + chest.tubes[1][1])
     lengths = [track_paths(chest.volume, targets=[tip]).targets[0].path.length_mm]
     for start in (middle, in_bronchus):
         path = track_paths(chest.volume, root=start, targets=[tip]).targets[0].path
         assert np.linalg.norm(path.points_lps[0] - start) <= 3.0
         lengths.append(path.length_mm)
-    assert lengths[0] - lengths[1] == pytest.approx(np.linalg.norm(middle - whole.root_lps), abs=3.0)
+    assert lengths[0] - lengths[1] == pytest.approx(np.linalg.norm(middle - found.root_lps), abs=3.0)
     assert lengths[1] - lengths[2] > 0.4 * np.linalg.norm(end - top)
 
 
-def test_target_in_a_lumen_separated_from_the_root_has_no_path(chest):
-    lumen = np.array(find_airways(chest.volume).lumen_zyx)
+def test_target_in_a_lumen_separated_from_the_root_has_no_path(chest, found):
+    lumen = np.array(found.lumen_zyx)
     # A gap cuts the left main bronchus in two.
     start, end, _ = chest.tubes[2]
     k, j, i = np.nonzero(lumen)

@@ -7,13 +7,7 @@ import pytest
 
 import carina
 from carina.errors import UsageError
-from carina.track import Airways
 from carina.track.paths.live_path import _perpendicular_vectors
-
-
-@pytest.fixture(scope="module")
-def found(chest) -> Airways:
-    return carina.find_airways(chest.volume)
 
 
 def tip_of(chest, number: int) -> np.ndarray:

@@ -9,14 +9,9 @@ import numpy as np
 import pytest
 
 from carina.errors import GeometryError
-from carina.track import LumenOutline, PaintLumen, edit_airways, find_airways
+from carina.track import LumenOutline, PaintLumen, edit_airways
 
 SIZE = 400
-
-
-@pytest.fixture(scope="module")
-def found(chest):
-    return find_airways(chest.volume)
 
 
 def plane(normal, middle_lps, mm_per_px, size=SIZE):

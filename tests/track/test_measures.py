@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from cached_test_data import cached_airways, cached_phantom
 from carina._core import cast_sections, section_axes
 from carina.errors import CancelledError, UsageError
-from carina.track import AirwayTree, Branch, find_airways, measure_tree
+from carina.track import AirwayTree, Branch, measure_tree
 from carina.track.measures.branch_summary import (
     ReferenceDiameter,
     Stenosis,
@@ -28,9 +28,8 @@ from carina.volume.model import Volume
 
 
 @pytest.fixture(scope="module")
-def measured(chest):
-    airways = find_airways(chest.volume)
-    return airways, measure_tree(chest.volume, airways)
+def measured(chest, found):
+    return found, measure_tree(chest.volume, found)
 
 
 def test_measured_diameters_are_within_their_errors(chest, measured):

@@ -10,7 +10,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 import carina
-from cached_test_data import cached_phantom
+from cached_test_data import cached_airways, cached_phantom
 from carina._core import GraphTracker
 from carina.errors import CancelledError, UsageError
 from carina.track.targets.paper_tracker import BYTES_PER_VOXEL, COSTS, GRAPHS, search_box, track_on_graph
@@ -18,11 +18,6 @@ from carina.volume.model import Volume
 from carina_bench.track_paper import deviation_mm
 
 PAIRS = list(itertools.product(COSTS, GRAPHS))
-
-
-@pytest.fixture(scope="module")
-def found(chest):
-    return carina.find_airways(chest.volume)
 
 
 @pytest.fixture(scope="module")
@@ -80,8 +75,8 @@ def test_paths_to_five_segments_cross_no_airway_wall(seed):
 
 
 def assert_no_wall_is_penetrated(seed):
-    made = cached_phantom(seed=seed, spacing_mm=1.2, noise_hu=25.0)
-    airways = carina.find_airways(made.volume)
+    options = {"seed": seed, "spacing_mm": 1.2, "noise_hu": 25.0}
+    made, airways = cached_phantom(**options), cached_airways(**options)
     segments = [branch for branch in airways.tree.branches if branch.generation == 4]
     ends = [branch.points[-1] for branch in segments[:: max(len(segments) // 5, 1)][:5]]
     walls = track_on_graph(made.volume, airways, ends, cost="walls", graph="voxel").search

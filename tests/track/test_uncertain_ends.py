@@ -67,23 +67,21 @@ def test_branch_with_a_hardly_visible_wall_is_listed_as_faint():
     assert "0.31" in found[0].reason
 
 
-def test_branch_confidence_is_high_with_a_visible_wall_and_low_in_plain_lung(chest, rng):
-    airways = find_airways(chest.volume)
-    sure = [branch.confidence for branch in airways.tree.branches]
+def test_branch_confidence_is_high_with_a_visible_wall_and_low_in_plain_lung(chest, found, rng):
+    sure = [branch.confidence for branch in found.tree.branches]
     assert min(sure) > 0.7
     assert all(0.0 <= value <= 1.0 for value in sure)
     lung = Volume((-860 + rng.normal(0.0, 12.0, chest.volume.shape_zyx)).astype(np.int16), chest.volume.lps_from_ijk)
-    pretended = with_confidence(lung, airways.tree, 12.0)
+    pretended = with_confidence(lung, found.tree, 12.0)
     assert max(branch.confidence for branch in pretended.branches) < 0.3
-    noisier = with_confidence(chest.volume, airways.tree, 120.0)
-    assert all(a.confidence < b.confidence for a, b in zip(noisier.branches, airways.tree.branches, strict=True))
+    noisier = with_confidence(chest.volume, found.tree, 120.0)
+    assert all(a.confidence < b.confidence for a, b in zip(noisier.branches, found.tree.branches, strict=True))
 
 
-def test_closed_ends_of_wide_bronchi_are_listed_without_naming_a_disease(chest):
-    airways = find_airways(chest.volume)
-    tips = {branch.id for branch in airways.tree.tips()}
+def test_closed_ends_of_wide_bronchi_are_listed_without_naming_a_disease(found):
+    tips = {branch.id for branch in found.tree.tips()}
     # Drawn tubes of 6 mm end in the middle of the lung, with a wall around their end.
-    ends = [entry for entry in airways.uncertain if entry.kind in ("stump", "lost")]
+    ends = [entry for entry in found.uncertain if entry.kind in ("stump", "lost")]
     assert {entry.branch_id for entry in ends} == tips
     assert any(entry.kind == "stump" for entry in ends)
     for entry in ends:
@@ -100,20 +98,19 @@ def test_slice_numbers_of_airway_ends_are_counted_from_the_feet_in_any_storage_o
     assert [p.slice_number for p in airways.uncertain if p.branch_id] == [round(v) + 1 for v in from_feet]
 
 
-def test_mask_of_another_tool_has_no_uncertain_airway_ends(chest):
-    automatic = find_airways(chest.volume)
-    given = find_airways(chest.volume, lumen_zyx=automatic.lumen_zyx)
+def test_mask_of_another_tool_has_no_uncertain_airway_ends(chest, found):
+    given = find_airways(chest.volume, lumen_zyx=found.lumen_zyx)
     assert given.uncertain == ()
     assert all(branch.confidence is None for branch in given.tree.branches)
 
 
-def test_mask_in_several_pieces_is_reduced_to_the_piece_with_the_root_and_this_is_reported(chest):
-    lumen = np.array(find_airways(chest.volume).lumen_zyx)
+def test_mask_in_several_pieces_is_reduced_to_the_piece_with_the_root_and_this_is_reported(chest, found):
+    lumen = np.array(found.lumen_zyx)
     alone = find_airways(chest.volume, lumen_zyx=lumen)
     lumen[3:6, 3:6, 3:6] = 1
-    found = find_airways(chest.volume, lumen_zyx=lumen)
-    assert len(found.tree) == len(alone.tree)
-    assert any("27 lumen voxels are not connected" in note for note in found.notes)
+    both = find_airways(chest.volume, lumen_zyx=lumen)
+    assert len(both.tree) == len(alone.tree)
+    assert any("27 lumen voxels are not connected" in note for note in both.notes)
 
 
 def test_empty_mask_is_refused_with_a_message(chest):
