@@ -47,6 +47,8 @@ OTHER_CHEST: dict[str, Any] = {"seed": 2, "spacing_mm": 1.1}
 """Options of a second chest, with other anatomy and less noise."""
 # Options of a chest with the central airways only.
 SMALL_CHEST: dict[str, Any] = {"seed": 4, "spacing_mm": 1.2, "generations": 4}
+COARSE_CHEST: dict[str, Any] = {"seed": 4, "spacing_mm": 1.6, "generations": 4, "noise_hu": 25.0}
+"""Options of a chest with the central airways, for searches of paths in all voxels."""
 
 
 @cache
@@ -198,8 +200,8 @@ def found_airways(volume: Volume) -> Airways:
 
 @lru_cache(maxsize=4)
 def _airways(options: str) -> Airways:
-    name = hashlib.sha256(options.encode()).hexdigest()[:16]
-    return stored_airways(f"airways of {name}", _phantom(options).volume)
+    volume = _phantom(options).volume
+    return stored_airways(f"airways of {name_of(volume)}", volume)
 
 
 def cached_airways(**options: Any) -> Airways:

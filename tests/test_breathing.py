@@ -32,6 +32,12 @@ def central_airways() -> tuple[carina.Volume, carina.Airways]:
 
 
 @functools.cache
+def wall_at_rest() -> carina.WallField:
+    """Return the wall of the central airways at rest."""
+    return carina.wall_field(*central_airways())
+
+
+@functools.cache
 def deformed_ct(name: str) -> carina.Volume:
     """Return the CT of the moved chest on its own straight grid, by interpolation in the CT at rest."""
     rest, _ = central_airways()
@@ -73,7 +79,7 @@ def test_chest_at_rest_has_the_same_pictures_walls_and_trees_bit_for_bit():
     volume, airways = central_airways()
     renderer = renderer_of(volume)
     renderer.set_lumen(airways.lumen_zyx, airways.tree)
-    wall = carina.wall_field(volume, airways)
+    wall = wall_at_rest()
     still = Breathing(craniocaudal_mm=0.0, anteroposterior_mm=0.0)
     for deformation in (ChestDeformation(np.eye(4)), still.at(1.7, CHEST), Breathing().at(0.0, CHEST)):
         assert deformation.is_rest
@@ -177,8 +183,8 @@ def test_tree_of_a_moved_chest_equals_that_found_in_the_deformed_ct_within_a_vox
 
 
 def test_scope_is_not_driven_in_a_deformed_wall():
-    volume, airways = central_airways()
-    moved = carina.wall_field(volume, airways).deformed(EXHALED)
+    _, airways = central_airways()
+    moved = wall_at_rest().deformed(EXHALED)
     with pytest.raises(UsageError, match="deformed wall") as caught:
         carina.ScopeDrive(moved, "standard", EXHALED.points(airways.tree.root.points))
     assert caught.value.code == "scope.wall"
@@ -186,7 +192,7 @@ def test_scope_is_not_driven_in_a_deformed_wall():
 
 def test_scope_that_the_tissue_carries_touches_the_wall_where_the_deformed_mesh_has_it():
     volume, airways = central_airways()
-    wall = carina.wall_field(volume, airways)
+    wall = wall_at_rest()
     drive = carina.ScopeDrive(wall, "standard", airways.tree.root.points)
     for _ in range(40):
         state = drive.drive(drive.state.insertion_mm + 2.0, 0.0, 1.2, 0.1)
@@ -206,8 +212,8 @@ def test_scope_that_the_tissue_carries_touches_the_wall_where_the_deformed_mesh_
 
 
 def test_cough_touches_a_tip_that_has_space_at_rest():
-    volume, airways = central_airways()
-    wall = carina.wall_field(volume, airways)
+    _, airways = central_airways()
+    wall = wall_at_rest()
     drive = carina.ScopeDrive(wall, "standard", airways.tree.root.points)
     tip_mm = drive.scope.tip_mm
     state = drive.drive(drive.entry_mm + 40.0, 0.0, 0.0, 0.1)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-import carina
+from cached_test_data import COARSE_CHEST, cached_airways
 from carina.track.targets.path_union import tree_of_paths
 from carina.track.targets.relaxed_path import evenly_spaced
 from carina.track.tree.airway_tree import AirwayTree
@@ -13,8 +13,7 @@ from carina.track.tree.airway_tree import AirwayTree
 
 @pytest.fixture(scope="module")
 def airways():
-    made = carina.generate_phantom(seed=4, spacing_mm=1.6, generations=4, noise_hu=25.0)
-    return carina.find_airways(made.volume)
+    return cached_airways(**COARSE_CHEST)
 
 
 def distance_mm(points: np.ndarray, branches) -> float:

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-import carina
+from cached_test_data import COARSE_CHEST, cached_airways, cached_phantom
 from carina.track.targets import paper_tracker
 from carina.track.targets.excursions import find_excursions, flyable_path, shortest_path, wide_lumen
 from carina.track.targets.paper_tracker import search_box, track_on_graph
@@ -101,10 +101,9 @@ def test_relaxation_equals_the_relaxation_point_by_point(seed):
 
 @pytest.fixture(scope="module")
 def chest():
-    made = carina.generate_phantom(seed=4, spacing_mm=1.6, generations=4, noise_hu=25.0)
-    airways = carina.find_airways(made.volume)
+    volume, airways = cached_phantom(**COARSE_CHEST).volume, cached_airways(**COARSE_CHEST)
     ends = [tip.points[-1] for tip in airways.tree.tips()][:3]
-    return made.volume, airways, ends
+    return volume, airways, ends
 
 
 @pytest.fixture(scope="module")
