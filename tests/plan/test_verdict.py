@@ -36,13 +36,13 @@ RADIUS_MM = 2.0
 STRAIGHT_MM = 70.0
 
 
-def centreline(bend_deg: float, bend_radius_mm: float) -> np.ndarray:
-    """Return points of a centreline: straight down for 70 mm, along a circle towards +x, then straight for 10 mm."""
-    down = [np.array([0.0, 0.0, -z]) for z in np.arange(0.0, STRAIGHT_MM, 0.5)]
+def centreline(bend_deg: float, bend_radius_mm: float, straight_mm: float = STRAIGHT_MM) -> np.ndarray:
+    """Return points of a centreline: straight down, along a circle towards +x, then straight for 10 mm."""
+    down = [np.array([0.0, 0.0, -z]) for z in np.arange(0.0, straight_mm, 0.5)]
     bend = math.radians(bend_deg)
     angles = np.linspace(0.0, bend, int(2.0 * bend * bend_radius_mm) + 2)
     turned = [
-        np.array([bend_radius_mm * (1.0 - math.cos(a)), 0.0, -STRAIGHT_MM - bend_radius_mm * math.sin(a)])
+        np.array([bend_radius_mm * (1.0 - math.cos(a)), 0.0, -straight_mm - bend_radius_mm * math.sin(a)])
         for a in angles
     ]
     points = [*down, *turned]
@@ -51,8 +51,10 @@ def centreline(bend_deg: float, bend_radius_mm: float) -> np.ndarray:
 
 
 @cache
-def tube(bend_deg: float, bend_radius_mm: float = 20.0) -> tuple[AirwayTree, WallField, np.ndarray]:
-    points = centreline(bend_deg, bend_radius_mm)
+def tube(
+    bend_deg: float, bend_radius_mm: float = 20.0, straight_mm: float = STRAIGHT_MM
+) -> tuple[AirwayTree, WallField, np.ndarray]:
+    points = centreline(bend_deg, bend_radius_mm, straight_mm)
     lo, hi = points.min(axis=0) - 4.0, points.max(axis=0) + 4.0
     step = 0.5
     num = np.ceil((hi - lo) / step).astype(int) + 1
