@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
+from unittest.mock import patch
 
 import numpy as np
 from numpy.typing import NDArray
 
-from carina.plan import DistanceOrigin, PlannedRoute
+from carina.plan import DistanceOrigin, PlannedRoute, TurnList, turn_list
 from carina.plan.routes.last_leg import LastLeg
 from carina.plan.routes.route_width import RouteWidth
 from carina.track import AirwayTree, Branch
@@ -131,3 +133,12 @@ def route_in(
     name = branch.name or f"branch {branch.id}"
     width = RouteWidth(2.0, 0.1, along)
     return PlannedRoute(branch.id, name, along, origin, forward, width, "fits", leg, {}, 1.0, ())
+
+
+def turn_list_with_small_views(tree: AirwayTree, route: PlannedRoute, **options: Any) -> TurnList:
+    """Return the turns of a route, for tests of distances and moves.
+
+    The views of the forks, which take most of the time, have few pixels. Distances and moves do not depend on them.
+    """
+    with patch("carina.plan.turns.from_route.TUBES_PX", 8):
+        return turn_list(tree, route, **options)

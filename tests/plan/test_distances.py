@@ -12,7 +12,7 @@ from typing import Any, cast
 import msgspec
 import numpy as np
 import pytest
-from fork_trees import made_tree, random_tree, route_in
+from fork_trees import made_tree, random_tree, route_in, turn_list_with_small_views
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from phantom_plan import airways, plan, sheet, turns, verdicts, volume
@@ -173,7 +173,7 @@ def test_distances_of_turns_from_the_carina_ridge_increase_and_add_up_in_random_
     tree = random_tree(seed)
     for tip in tree.tips()[::4]:
         route = route_in(tree, tip.id, ridge_mm=ridge_mm)
-        found = turn_list(tree, route, carina_depth_mm=260.0)
+        found = turn_list_with_small_views(tree, route, carina_depth_mm=260.0)
         first = found.turns[0]
         assert first.at_main_carina and first.from_carina_mm == 0.0 and found.depth_mm(0.0) == 260.0
         assert first.words("head", first=True).startswith("At the main carina, enter ")

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from fork_trees import bent, made_tree, moved, random_tree, route_in, unit
+from fork_trees import bent, made_tree, moved, random_tree, route_in, turn_list_with_small_views, unit
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
@@ -106,7 +106,7 @@ def test_distances_between_turns_add_up_to_the_final_tip_position(seed: int) -> 
     tree = random_tree(seed)
     for tip in tree.tips()[::3]:
         route = route_in(tree, tip.id)
-        found = turn_list(tree, route, carina_depth_mm=250.0)
+        found = turn_list_with_small_views(tree, route, carina_depth_mm=250.0)
         total = sum(turn.from_fork_mm for turn in found.turns) + found.park_from_fork_mm
         assert total == pytest.approx(route.along_mm, abs=1e-9)
         assert found.park_from_carina_mm == pytest.approx(route.from_carina_mm, abs=1e-9)
@@ -469,7 +469,9 @@ def test_each_hand_move_of_a_drive_is_listed_once_and_in_order(seed: int, advanc
     route = route_in(tree, tree.tips()[0].id)
     moves = [Move(float(n), 1.0, mm) for n, mm in enumerate(advances)]
     ends = list(np.cumsum(advances)) if advances else []
-    found = turn_list(tree, route, moves=moves, ends_along_mm=[route.origin.past_mm(mm) for mm in ends])
+    found = turn_list_with_small_views(
+        tree, route, moves=moves, ends_along_mm=[route.origin.past_mm(mm) for mm in ends]
+    )
     listed = [move for turn in found.turns for move in turn.moves or ()]
     assert [*listed, *(found.park_moves or ())] == moves
     # A move that begins before a fork is listed with this fork.
@@ -478,7 +480,7 @@ def test_each_hand_move_of_a_drive_is_listed_once_and_in_order(seed: int, advanc
         for move in turn.moves or ():
             furthest = max([0.0, *ends[: int(move.turn_deg)]])
             assert before - 1e-6 <= furthest < place
-    assert turn_list(tree, route).turns[0].moves is None
+    assert turn_list_with_small_views(tree, route).turns[0].moves is None
 
 
 def test_hand_move_that_begins_past_a_fork_is_listed_with_the_next_turn() -> None:
