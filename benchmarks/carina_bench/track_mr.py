@@ -14,8 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carina.errors import CarinaError
-from carina.phantom import generate_mr_phantom
-from carina.phantom import Phantom
+from carina.phantom import Phantom, generate_mr_phantom
 from carina.track import find_airways
 from carina.track.targets.paper_tracker import track_on_graph
 
