@@ -405,13 +405,13 @@ def test_default_movement_of_a_plan_is_larger_in_the_lower_than_in_the_upper_lob
 def test_plan_with_an_invalid_argument_is_refused_with_a_message() -> None:
     airways, volume = cached_airways(**CHEST), cached_phantom(**CHEST).volume
     with pytest.raises(UsageError, match="no tool is called 'saw'; expected one of needle-21g"):
-        plan_route(volume, airways, plan().nodule, tool="saw")
+        plan_route(volume, airways, plan().nodule, tool="saw", wall=wall())
     with pytest.raises(UsageError, match="vessel_margin_mm: expected a number from 0 to 50 mm; found -1"):
-        plan_route(volume, airways, plan().nodule, vessel_margin_mm=-1.0)
+        plan_route(volume, airways, plan().nodule, vessel_margin_mm=-1.0, wall=wall())
     with pytest.raises(UsageError, match="misses: expected a number from 0"):
         ScoreWeights(misses=-0.1)
     with pytest.raises(NoResultError, match="nodule"):
-        plan_route(volume, airways, airways.tree.root.points[0] + [0.0, 60.0, 0.0])
+        plan_route(volume, airways, airways.tree.root.points[0] + [0.0, 60.0, 0.0], wall=wall())
     with pytest.raises(CancelledError):
         plan_route(volume, airways, plan().nodule, wall=wall(), cancel=lambda: True)
 
