@@ -19,9 +19,15 @@ def test_simulated_scope_in_the_lumen_bends_and_is_stopped_by_the_wall_until_sco
     workstation.open(server)
     workstation.wait_ready()
     hold(workstation, (0, 0, 0, 0))
+    # The wall is computed first; its progress is shown and the picture stays. The progress disappears with the job,
+    # possibly between two checks of the test, so the page records it.
+    page.evaluate(
+        """() => new MutationObserver(() => {
+            window.preparing ||= document.body.textContent.includes('reparing the airway wall for the scope');
+        }).observe(document.body, { subtree: true, childList: true, characterData: true })"""
+    )
     page.get_by_role("radio", name="Scope").click()
-    # The wall is computed first; its progress is shown and the picture stays.
-    page.get_by_text("preparing the airway wall for the scope").first.wait_for()
+    page.wait_for_function("() => window.preparing === true")
     workstation.picture("held-scope-waiting")
     page.wait_for_function("() => window.__carina.state.pose.mode === 'scope'", timeout=WALL_MS)
     page.get_by_test_id("scope-reading").wait_for()
