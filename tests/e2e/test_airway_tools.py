@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 from page_positions import PREVIEWED, all_points, named, place_in_slice, place_on_tree, show_slices_at, tree_is_shown
 from playwright.sync_api import expect
+from workstation import scroll_list_to
 
 pytestmark = pytest.mark.browser
 
@@ -320,14 +321,17 @@ def test_preview_of_a_click_lists_the_branches_that_it_renames_when_the_cursor_r
     workstation.wait_ready()
     tree_is_shown(workstation)
     whole = workstation.state("tree.byId.size")
-    leaf = named(workstation, "RB7")
+    leaf = named(workstation, "RB9")
     end = workstation.page.evaluate("(id) => window.__carina.state.tree.byId.get(id).branch.points.at(-1)", leaf)
     names = "() => [...window.__carina.state.tree.byId.values()].map((n) => [n.branch.id, n.branch.name])"
+    row = workstation.page.locator(f".branch-tree [data-branch='{leaf}']")
+    # The search opens the rows above the branch; a click on a row with the tool cuts the whole branch.
+    workstation.page.keyboard.press("/")
+    workstation.page.keyboard.type("RB9")
+    workstation.page.keyboard.press("Enter")
+    row.wait_for()
     workstation.page.keyboard.press("k")
-    x, y = place_on_tree(workstation, leaf, 0.05)
-    workstation.page.mouse.move(x, y)
-    workstation.wait_for("(id) => window.__carina.state.ui.hovered?.branchId === id", leaf)
-    workstation.page.mouse.click(x, y)
+    scroll_list_to(row).click()
     workstation.wait_for("(n) => window.__carina.state.tree.byId.size < n", whole)
     workstation.wait_for("() => !window.__carina.state.jobs.some((job) => job.job_id.startsWith('edit'))")
     workstation.page.keyboard.press("Escape")
@@ -352,9 +356,13 @@ def test_preview_of_a_click_lists_the_branches_that_it_renames_when_the_cursor_r
     workstation.wait_for(is_renamed, [renamed_id, before[renamed_id]])
     workstation.picture("renamed-branches-after-the-click")
     after = dict(workstation.page.evaluate(names))
-    changed = {f"{before[i]} becomes {after[i]}": before[i] for i in before if before[i] != after[i]}
+    changed = {
+        f"{name} becomes {after[i] or f'branch {i}'}": name
+        for i, name in before.items()
+        if name is not None and name != after[i]
+    }
     assert set(listed) <= set(changed)
-    # The new fork divides RB8, whose lower part keeps the name.
+    # The new fork divides a branch, whose lower part keeps the name.
     unlisted = {name for text, name in changed.items() if text not in listed}
     assert unlisted <= {after[i] for i in after if i not in before}
     assert workstation.faults == []
