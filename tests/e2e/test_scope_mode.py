@@ -23,7 +23,8 @@ def test_simulated_scope_in_the_lumen_bends_and_is_stopped_by_the_wall_until_sco
     # possibly between two checks of the test, so the page records it.
     page.evaluate(
         """() => new MutationObserver(() => {
-            window.preparing ||= document.body.textContent.includes('reparing the airway wall for the scope');
+            window.preparing ||= document.body.textContent.toLowerCase()
+                .includes('preparing the airway wall for the scope');
         }).observe(document.body, { subtree: true, childList: true, characterData: true })"""
     )
     page.get_by_role("radio", name="Scope").click()
